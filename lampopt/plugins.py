@@ -1,0 +1,267 @@
+"""Find plugins, load them loudly, look them up by name.
+
+Nothing happens at import: `Plugins.load()` reads the entry points of group `lampopt`, ours like anybody's. A plugin
+that fails is reported with its distribution, version and cause, and the others work.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+import pluggy
+
+from lampopt import hookspecs
+from lampopt.errors import PluginError
+from lampopt.types import Result, Scalar, Spec
+
+KINDS = ("decoder", "solver", "measure", "surrogate", "model", "source", "check")
+BLOCK = "LAMPOPT_BLOCK"
+log = logging.getLogger("lampopt")
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One class a plugin offers: `kind`, `name`, what to load, and who offers it."""
+
+    kind: str
+    name: str
+    target: type | str
+    plugin: str
+    distribution: str
+    version: str
+
+    def resolve(self) -> type:
+        """The class, imported now.
+
+        Raises
+        ------
+        PluginError
+            Naming the plugin and the cause.
+        """
+        if isinstance(self.target, type):
+            return self.target
+        try:
+            module, _, attribute = self.target.partition(":")
+            found = getattr(importlib.import_module(module), attribute)
+        except Exception as error:  # whatever a stranger's module raises on import
+            raise PluginError(f"{self.kind} {self.name!r} of {self}: cannot load {self.target!r}: {error!r}") from error
+        if not isinstance(found, type):
+            raise PluginError(
+                f"{self.kind} {self.name!r} of {self}: expected a class at {self.target!r}, got {found!r}"
+            )
+        return found
+
+    def __str__(self) -> str:
+        return f"plugin {self.plugin!r} ({self.distribution} {self.version})"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A plugin that does not work, and why."""
+
+    plugin: str
+    distribution: str
+    version: str
+    cause: str
+
+    def __str__(self) -> str:
+        return f"plugin {self.plugin!r} ({self.distribution} {self.version}): {self.cause}"
+
+
+@dataclass(frozen=True)
+class Plugins:
+    """What is installed: the offers by kind and name, and the problems met on the way."""
+
+    offers: Mapping[tuple[str, str], Offer]
+    problems: tuple[Problem, ...]
+    clashes: Mapping[tuple[str, str], tuple[Offer, ...]] = field(default_factory=dict)
+    manager: pluggy.PluginManager = field(default_factory=lambda: _manager(), repr=False)
+
+    @classmethod
+    def load(cls, extra: Iterable[tuple[str, object]] = (), *, block: Iterable[str] | None = None) -> Plugins:
+        """Load every entry point of group `lampopt`, then `extra` (name, module or object) pairs.
+
+        Parameters
+        ----------
+        extra
+            Plugins that are not installed, for tests and notebooks.
+        block
+            Entry-point names to leave out; by default those in the environment variable LAMPOPT_BLOCK.
+        """
+        blocked = set(os.environ.get(BLOCK, "").split(",") if block is None else block)
+        manager = _manager()
+        problems: list[Problem] = []
+        owners: dict[str, tuple[str, str]] = {}
+        points = sorted(entry_points(group="lampopt"), key=lambda p: (p.name, _owner(p)))
+        names = [point.name for point in points]
+        for point in points:
+            if point.name in blocked:
+                continue
+            owner = _owner(point)
+            if names.count(point.name) > 1:
+                rivals = sorted({" ".join(_owner(p)) for p in points if p.name == point.name})
+                problems.append(Problem(point.name, *owner, f"one entry-point name from {' and '.join(rivals)}"))
+                continue
+            try:
+                plugin = point.load()
+            except Exception as error:  # noqa: BLE001  # whatever a stranger's module raises on import
+                problems.append(Problem(point.name, *owner, f"cannot be imported: {error!r}"))
+                continue
+            _register(manager, point.name, plugin, owner, owners, problems)
+        for name, plugin in extra:
+            if name not in blocked:
+                _register(manager, name, plugin, ("not installed", "-"), owners, problems)
+        offers, clashes = _offers(manager, owners, problems)
+        return cls(offers, tuple(problems), clashes, manager)
+
+    def report(self) -> Plugins:
+        """Log every problem as a warning; returns itself."""
+        for problem in self.problems:
+            log.warning("%s", problem)
+        return self
+
+    def get(self, kind: str, name: str) -> Offer:
+        """The offer of `kind` called `name`.
+
+        Raises
+        ------
+        PluginError
+            If two plugins give that name (both are named), or none does (what there is is listed).
+        """
+        if clash := self.clashes.get((kind, name)):
+            raise PluginError(
+                f"{kind} {name!r} is given by {' and by '.join(map(str, clash))}: "
+                f"block one with {BLOCK}={clash[0].plugin} or uninstall it"
+            )
+        if (kind, name) not in self.offers:
+            known = ", ".join(sorted(n for k, n in self.offers if k == kind)) or "none"
+            broken = f"; not working: {'; '.join(map(str, self.problems))}" if self.problems else ""
+            raise PluginError(f"{kind} {name!r} is not installed; installed are: {known}{broken}")
+        return self.offers[kind, name]
+
+    def make(self, kind: str, choice: str | Spec) -> Any:
+        """The plugin object that `choice` describes.
+
+        Raises
+        ------
+        PluginError
+            If it is missing, or an option is unknown or refused: the known options are listed.
+        """
+        spec = Spec.of(choice)
+        offer = self.get(kind, spec.name)
+        cls = offer.resolve()
+        known = known_options(cls)
+        unknown = sorted(set(spec.options) - set(known))
+        if unknown:
+            raise PluginError(
+                f"{kind} {spec.name!r}: unknown option {', '.join(map(repr, unknown))}; "
+                f"known are: {', '.join(f'{n}: {t}' for n, t in known.items()) or 'none'}"
+            )
+        for option, value in spec.options.items():
+            _check_type(f"{kind} {spec.name!r}: option {option!r}", value, known[option])
+        try:
+            return cls(**spec.options)
+        except (TypeError, ValueError) as error:
+            raise PluginError(f"{kind} {spec.name!r} with {dict(spec.options)}: {error}") from error
+
+    def recorded(self, result: Result, folder: Path) -> None:
+        """Tell every observer about a result on disk; what one raises is logged and loses nothing."""
+        for implementation in self.manager.hook.lampopt_recorded.get_hookimpls():
+            arguments = {"result": result, "folder": folder}
+            try:
+                implementation.function(*(arguments[name] for name in implementation.argnames))
+            except Exception:  # an observer only observes
+                log.exception("plugin %r failed in lampopt_recorded for %s", implementation.plugin_name, folder)
+
+
+def _manager() -> pluggy.PluginManager:
+    manager = pluggy.PluginManager("lampopt")
+    manager.add_hookspecs(hookspecs)
+    return manager
+
+
+def _owner(point: EntryPoint) -> tuple[str, str]:
+    return (point.dist.name, point.dist.version) if point.dist else ("unknown", "-")
+
+
+def _register(
+    manager: pluggy.PluginManager,
+    name: str,
+    plugin: object,
+    owner: tuple[str, str],
+    owners: dict[str, tuple[str, str]],
+    problems: list[Problem],
+) -> None:
+    """Register one plugin; drop it again, with the reason, if a hook of it is misspelt or misshapen."""
+    if name in owners:
+        problems.append(Problem(name, *owner, f"a plugin of this name is already loaded from {owners[name][0]}"))
+        return
+    try:
+        if manager.register(plugin, name) is None:
+            raise PluginError("the same object is registered twice")
+        manager.check_pending()
+    except (pluggy.PluginValidationError, PluginError, ValueError) as error:
+        if manager.has_plugin(name):
+            manager.unregister(name=name)
+        problems.append(Problem(name, *owner, str(error)))
+        return
+    if not manager.get_hookcallers(plugin):
+        manager.unregister(name=name)
+        problems.append(Problem(name, *owner, "has no hooks: mark its functions with @lampopt.hookimpl"))
+        return
+    owners[name] = owner
+
+
+def _offers(
+    manager: pluggy.PluginManager, owners: Mapping[str, tuple[str, str]], problems: list[Problem]
+) -> tuple[dict[tuple[str, str], Offer], dict[tuple[str, str], tuple[Offer, ...]]]:
+    """Call each plugin's registry hooks on their own, so that one that raises costs only itself."""
+    found: dict[tuple[str, str], list[Offer]] = {}
+    for kind in KINDS:
+        hook = getattr(manager.hook, f"lampopt_{kind}s")
+        for implementation in sorted(hook.get_hookimpls(), key=lambda i: i.plugin_name):
+            plugin = implementation.plugin_name
+            owner = owners[plugin]
+            try:
+                mapping = implementation.function()
+                if not isinstance(mapping, Mapping) or not all(
+                    isinstance(n, str) and isinstance(t, type | str) for n, t in mapping.items()
+                ):
+                    raise TypeError(f"expected a mapping of names to classes or 'module:Class', got {mapping!r}")
+            except Exception as error:  # noqa: BLE001  # whatever a stranger's hook raises
+                problems.append(Problem(plugin, *owner, f"hook lampopt_{kind}s failed: {error!r}"))
+                continue
+            for name, target in mapping.items():
+                found.setdefault((kind, name), []).append(Offer(kind, name, target, plugin, *owner))
+    offers = {key: rivals[0] for key, rivals in found.items() if len(rivals) == 1}
+    clashes = {key: tuple(rivals) for key, rivals in found.items() if len(rivals) > 1}
+    for (kind, name), rivals in clashes.items():
+        for rival in rivals:
+            others = " and ".join(str(r) for r in rivals if r is not rival)
+            problems.append(
+                Problem(rival.plugin, rival.distribution, rival.version, f"{kind} {name!r} is also given by {others}")
+            )
+    return offers, clashes
+
+
+def known_options(cls: type) -> dict[str, str]:
+    """The option names of a plugin class (its dataclass fields) with their declared types, as text."""
+    declared = getattr(cls, "__dataclass_fields__", {})
+    return {name: getattr(f.type, "__name__", str(f.type)) for name, f in declared.items() if f.init}
+
+
+_CHECKED: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}
+
+
+def _check_type(what: str, value: Scalar, declared: str) -> None:
+    """Refuse a scalar of another type than a plainly declared one; other annotations are the class's business."""
+    wanted = _CHECKED.get(declared)
+    if wanted and (not isinstance(value, wanted) or (isinstance(value, bool) and declared != "bool")):
+        raise PluginError(f"{what}: expected {declared}, got {value!r}")

@@ -1,0 +1,32 @@
+"""The records that flow between the stages: frozen, read-only, checked when they are made.
+
+Letters (docs/notation.md): N exemplars, d parameters, p labels, D weights, k rows, M points, C channels, B designs.
+"""
+
+from lampopt.types.arrays import Array, frozen_array
+from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec, normalise
+from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
+from lampopt.types.problem import Conflict, Mix, MixBatch, Problem, Status
+
+__all__ = [
+    "LEVELS",
+    "Array",
+    "Bank",
+    "Check",
+    "Conflict",
+    "Design",
+    "Exemplars",
+    "Frame",
+    "Mix",
+    "MixBatch",
+    "Needs",
+    "Parameter",
+    "Problem",
+    "Result",
+    "Scalar",
+    "Sense",
+    "Spec",
+    "Status",
+    "frozen_array",
+    "normalise",
+]

@@ -1,0 +1,255 @@
+"""What is known before anything is asked: parameters, exemplars, the bank fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types.arrays import Array, assign, frozen_array, unique
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+Scalar = str | int | float | bool
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named quantity with its unit ("" = dimensionless); in a bank also its range `low` to `high`."""
+
+    name: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name or self.name != self.name.strip() or any(c in self.name for c in ".[]=\n"):
+            raise InputError(f"parameter name {self.name!r}: expected text without '.', '[', ']', '=' or outer blanks")
+
+    def __str__(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def spread(self) -> float:
+        """`high` − `low`; 0 where either is unknown."""
+        return 0.0 if self.low is None or self.high is None else self.high - self.low
+
+
+@dataclass(frozen=True, init=False)
+class Spec:
+    """A plugin chosen by name, with its options: plain scalars that a file can hold.
+
+    >>> Spec("casadi", ridge=1e-3)
+    Spec('casadi', ridge=0.001)
+    """
+
+    name: str
+    options: Mapping[str, Scalar] = field(hash=False)
+
+    def __init__(self, name: str, /, **options: Scalar) -> None:
+        for key, value in options.items():
+            if not isinstance(value, (str, int, float, bool)):
+                raise InputError(f"option {key!r} of {name!r}: expected text, a number or a truth value, got {value!r}")
+        assign(self, name=name, options=MappingProxyType(dict(sorted(options.items()))))
+
+    def __repr__(self) -> str:
+        return f"Spec({', '.join([repr(self.name), *(f'{k}={v!r}' for k, v in self.options.items())])})"
+
+    def __reduce__(self) -> tuple[Callable[..., Spec], tuple[str, dict[str, Scalar]]]:
+        return _spec, (self.name, dict(self.options))
+
+    @classmethod
+    def of(cls, choice: str | Spec) -> Spec:
+        """`choice` itself, or a name without options."""
+        return choice if isinstance(choice, Spec) else cls(choice)
+
+
+def _spec(name: str, options: Mapping[str, Scalar]) -> Spec:
+    return Spec(name, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class Exemplars:
+    """Meshes with known parameters, before any fitting.
+
+    Parameters
+    ----------
+    parameters
+        (N, d), in the units of `space`.
+    space
+        The d parameters.
+    meshes
+        N meshes [unit], a sequence that may load them lazily.
+    names
+        N distinct names.
+    labels, label_space
+        (N, p) values known of each exemplar (drag and the like), NaN where unknown.
+    unit
+        Length unit of the meshes.
+    measured
+        Which parameter can be measured on a mesh, and how: ``{"length": "extents.length"}``.
+    mesh_at
+        The true mesh [unit] at any parameters (d,), where the source knows it.
+    """
+
+    parameters: Array
+    space: tuple[Parameter, ...]
+    meshes: Sequence[Trimesh]
+    names: tuple[str, ...]
+    labels: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    label_space: tuple[Parameter, ...] = ()
+    unit: str = "m"
+    measured: Mapping[str, str] = field(default_factory=dict)
+    mesh_at: Callable[[Array], Trimesh] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if n == 0:
+            raise InputError("exemplars: expected at least one, got none")
+        labels = np.full((n, len(self.label_space)), np.nan) if self.labels is None else self.labels
+        assign(
+            self,
+            parameters=frozen_array(self.parameters, "parameters", (n, len(self.space))),
+            labels=frozen_array(labels, "labels", (n, len(self.label_space)), nan=True),
+            measured=MappingProxyType(dict(self.measured)),
+        )
+        if len(self.meshes) != n:
+            raise InputError(f"exemplars: expected {n} meshes, one for each name, got {len(self.meshes)}")
+        unique(self.names, "exemplar")
+        unique([q.name for q in (*self.space, *self.label_space)], "parameter or label")
+        unknown = sorted(set(self.measured) - {q.name for q in self.space})
+        if unknown:
+            raise InputError(f"measured: {unknown} are no parameters; known are {[q.name for q in self.space]}")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One similarity transform for a whole bank: the user's `unit` to the decoder's box [-1, 1]³ and back.
+
+    A point x [unit] lies at (x − centre) · scale in the box. Scaling mesh by mesh would erase size parameters.
+    """
+
+    scale: float
+    centre: Array
+    unit: str = "m"
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise InputError(f"frame: expected a positive scale, got {self.scale}")
+        assign(self, scale=float(self.scale), centre=frozen_array(self.centre, "frame centre", (3,)))
+
+    def to_box(self, mesh: Trimesh) -> Trimesh:
+        """A copy of `mesh` [unit] in the decoder's box."""
+        moved = mesh.copy()
+        moved.vertices = (np.asarray(mesh.vertices) - self.centre) * self.scale
+        return moved
+
+    def to_user(self, mesh: Trimesh) -> Trimesh:
+        """A copy of a decoded `mesh` (box) in the user's unit and place."""
+        moved = mesh.copy()
+        moved.vertices = np.asarray(mesh.vertices) / self.scale + self.centre
+        moved.units = self.unit
+        return moved
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Exemplars fitted by one decoder from one shared start.
+
+    Parameters
+    ----------
+    space, parameters
+        The d parameters with their ranges; (N, d) values.
+    label_space, labels
+        The p labels; (N, p), NaN = unlabelled.
+    names
+        N exemplar names.
+    weights
+        (N, D) float32, held as mapped from the file.
+    shared
+        The decoder's named arrays: start weights, a template, a lattice.
+    frame
+        User's unit ⇄ decoder's box.
+    decoder
+        Spec that rebuilds the decoder.
+    probes, probe_values
+        (M, 3) points of the decoder's domain; (N, M, C) what each exemplar's decoder says there.
+    fit_error
+        (N,) mean distance between decoded and given surface, as the decoder states it [box].
+    measured_by, measured
+        Which parameters can be measured how; (N, len(measured_by)) their values on the exemplars' meshes.
+    mesh_facts
+        What the exemplars' meshes have in common: ``{"bodies": 1, "genus": 1}``; absent where they differ.
+    limits
+        Limits of checks that replace the defaults.
+    provenance
+        Seeds, hashes, versions: where this bank comes from. Plain scalars.
+    path
+        The file it was read from or stored in, if any.
+    """
+
+    space: tuple[Parameter, ...]
+    parameters: Array
+    label_space: tuple[Parameter, ...]
+    labels: Array
+    names: tuple[str, ...]
+    weights: Array
+    shared: Mapping[str, Array]
+    frame: Frame
+    decoder: Spec
+    probes: Array
+    probe_values: Array
+    fit_error: Array
+    measured_by: Mapping[str, str] = field(default_factory=dict)
+    measured: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    mesh_facts: Mapping[str, int] = field(default_factory=dict)
+    limits: Mapping[str, float] = field(default_factory=dict)
+    provenance: Mapping[str, Scalar] = field(default_factory=dict)
+    path: Path | None = None
+
+    def __post_init__(self) -> None:
+        n, d, p = len(self.names), len(self.space), len(self.label_space)
+        unique(self.names, "exemplar")
+        unique([q.name for q in (*self.space, *self.label_space)], "parameter or label")
+        probes = frozen_array(self.probes, "probes", (None, 3))
+        measured = np.empty((n, 0)) if self.measured is None else self.measured
+        assign(
+            self,
+            parameters=frozen_array(self.parameters, "parameters", (n, d)),
+            labels=frozen_array(self.labels, "labels", (n, p), nan=True),
+            weights=frozen_array(self.weights, "weights", (n, None), np.float32),
+            shared=MappingProxyType(dict(self.shared)),
+            probes=probes,
+            probe_values=frozen_array(self.probe_values, "probe_values", (n, len(probes), None), np.float32),
+            fit_error=frozen_array(self.fit_error, "fit_error", (n,)),
+            measured=frozen_array(measured, "measured", (n, len(self.measured_by))),
+            measured_by=MappingProxyType(dict(self.measured_by)),
+            mesh_facts=MappingProxyType(dict(self.mesh_facts)),
+            limits=MappingProxyType(dict(self.limits)),
+            provenance=MappingProxyType(dict(self.provenance)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def normalised(self) -> Array:
+        """(N, d) parameters on [-1, 1] over the bank; a parameter without spread is 0 throughout."""
+        return normalise(self.parameters, self.space)
+
+
+def normalise(values: Array, space: Sequence[Parameter]) -> Array:
+    """`values` (..., d) of `space` mapped so that low, high become -1, 1; 0 where there is no spread."""
+    low = np.array([q.low or 0.0 for q in space])
+    spread = np.array([q.spread for q in space])
+    return np.where(spread > 0, 2 * (values - low) / np.where(spread > 0, spread, 1.0) - 1, 0.0)

@@ -1,0 +1,114 @@
+"""The answer: a design, the evidence about it, both together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types.arrays import Array, assign, frozen_array
+from lampopt.types.bank import Scalar
+from lampopt.types.problem import Mix
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+Sense = Literal["<=", ">=", "=", "info"]
+Needs = Literal["alpha", "field", "mesh"]
+LEVELS: tuple[Needs, ...] = ("alpha", "field", "mesh")
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The answer, unchecked.
+
+    Parameters
+    ----------
+    target
+        What was asked, by name [the parameter's unit].
+    mix
+        The coefficients.
+    predicted
+        (d,) = Pᵀalpha [units of the bank's space].
+    weights
+        (D,) mixed weights.
+    make_mesh
+        Decodes [user's unit]; returns None where the field has no surface.
+    """
+
+    target: Mapping[str, float]
+    mix: Mix
+    predicted: Array
+    weights: Array
+    make_mesh: Callable[[], Trimesh | None] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        assign(
+            self,
+            target=MappingProxyType(dict(self.target)),
+            predicted=frozen_array(self.predicted, "predicted", (None,)),
+            weights=frozen_array(self.weights, "weights", (None,), np.float32),
+        )
+
+    @cached_property
+    def mesh(self) -> Trimesh | None:
+        """The mesh [user's unit], made on first access; None if the field is empty."""
+        return self.make_mesh()
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of evidence about a design.
+
+    `passed` says whether `value` keeps to `limit` in the `sense` given; a NaN never passes. `needs` is what had to
+    be there to judge: alpha, field or mesh.
+    """
+
+    name: str
+    value: float
+    sense: Sense
+    limit: float | None
+    unit: str
+    needs: Needs
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.sense not in ("<=", ">=", "=", "info"):
+            raise InputError(f"check {self.name!r}: expected sense <=, >=, = or info, got {self.sense!r}")
+        if (self.limit is None) != (self.sense == "info"):
+            raise InputError(f"check {self.name!r}: a limit belongs to every sense but info, got {self.limit}")
+
+    @property
+    def passed(self) -> bool:
+        """Whether the evidence speaks for the design."""
+        if self.limit is None:
+            return True
+        if self.sense == "<=":
+            return self.value <= self.limit
+        return self.value >= self.limit if self.sense == ">=" else self.value == self.limit
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The answer, checked. Rejected designs are results too."""
+
+    design: Design
+    checks: tuple[Check, ...]
+    provenance: Mapping[str, Scalar] = field(default_factory=dict)
+
+    @property
+    def accepted(self) -> bool:
+        """True when every check passed."""
+        return all(check.passed for check in self.checks)
+
+    def check(self, name: str) -> Check:
+        """The check called `name`; InputError if there is none."""
+        for check in self.checks:
+            if check.name == name:
+                return check
+        raise InputError(f"check {name!r}: not made; there are {[c.name for c in self.checks]}")

@@ -1,0 +1,165 @@
+"""What a solver sees, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types.arrays import Array, assign, bounds, frozen_array, unique
+
+Status = Literal["exact", "inexact", "infeasible", "failed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a solver sees: matrices and callables, never meshes or networks.
+
+    Minimise Σ weight·(matrix·alpha − target)² + ridge·‖alpha − centre‖ (squared where `norm` is 2), subject to
+    1ᵀalpha = 1, hard rows exactly, range_low ≤ range_matrix·alpha ≤ range_high, alpha_low ≤ alpha ≤ alpha_high
+    (paper, equation (1) and appendix P). Where that leaves freedom, ‖alpha − centre‖ is least.
+
+    Parameters
+    ----------
+    names, matrix, target
+        k rows: their names, (k, N) and (k,). Normalised, so that ±1 are the ends of the bank's range.
+    weight
+        (k,) positive; 1 by default. Ignored for hard rows.
+    hard
+        (k,) truth values; all False by default.
+    range_names, range_matrix, range_low, range_high
+        Ranges and linear inequalities: (r, N), (r,), (r,); a bound of ±inf is none.
+    alpha_low, alpha_high
+        (N,) bounds or None.
+    centre
+        (N,) summing to 1; 1/N by default.
+    ridge
+        ≥ 0, or None: the solver's own.
+    norm
+        1 or 2.
+    objectives, constraints
+        alpha → (value, gradient (N,)): to be minimised (summed); to be kept ≤ 0.
+    """
+
+    names: tuple[str, ...]
+    matrix: Array
+    target: Array
+    weight: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    hard: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    range_names: tuple[str, ...] = ()
+    range_matrix: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    range_low: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    range_high: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    alpha_low: Array | None = None
+    alpha_high: Array | None = None
+    centre: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    ridge: float | None = None
+    norm: Literal[1, 2] = 2
+    objectives: tuple[Callable[[Array], tuple[float, Array]], ...] = ()
+    constraints: tuple[Callable[[Array], tuple[float, Array]], ...] = ()
+
+    def __post_init__(self) -> None:
+        k, r = len(self.names), len(self.range_names)
+        matrix = frozen_array(self.matrix, "matrix", (k, None))
+        n = matrix.shape[1]
+        if n == 0:
+            raise InputError("problem: expected at least one exemplar, got a matrix without columns")
+        unique((*self.names, *self.range_names), "row")
+        assign(
+            self,
+            matrix=matrix,
+            target=frozen_array(self.target, "target", (k,)),
+            weight=frozen_array(np.ones(k) if self.weight is None else self.weight, "weight", (k,)),
+            hard=frozen_array(np.zeros(k) if self.hard is None else self.hard, "hard", (k,), bool),
+            range_matrix=frozen_array(
+                np.empty((0, n)) if self.range_matrix is None else self.range_matrix, "range_matrix", (r, n)
+            ),
+            range_low=bounds(self.range_low, "range_low", r, -np.inf),
+            range_high=bounds(self.range_high, "range_high", r, np.inf),
+            centre=frozen_array(np.full(n, 1 / n) if self.centre is None else self.centre, "centre", (n,)),
+        )
+        for name in ("alpha_low", "alpha_high"):
+            if getattr(self, name) is not None:
+                assign(self, **{name: bounds(getattr(self, name), name, n, 0.0)})
+        if (self.weight <= 0).any():
+            raise InputError(f"weight: expected positive values, got {self.weight.min()}")
+        if self.ridge is not None and not (np.isfinite(self.ridge) and self.ridge >= 0):
+            raise InputError(f"ridge: expected a number of at least 0, got {self.ridge}")
+        if self.norm not in (1, 2):
+            raise InputError(f"norm: expected 1 or 2, got {self.norm}")
+        if abs(self.centre.sum() - 1) > 1e-9:
+            raise InputError(f"centre: expected coefficients that sum to 1, got a sum of {self.centre.sum()}")
+
+
+@dataclass(frozen=True, eq=False)
+class Conflict:
+    """Rows that no alpha can meet together, and how far each would have to give [normalised].
+
+    Adding `amounts` to these rows' targets is the least change that makes them agree.
+    """
+
+    names: tuple[str, ...]
+    amounts: Array
+
+    def __post_init__(self) -> None:
+        assign(self, amounts=frozen_array(self.amounts, "amounts", (len(self.names),)))
+
+
+@dataclass(frozen=True, eq=False)
+class Mix:
+    """Affine mixing coefficients: what a solver returns.
+
+    Parameters
+    ----------
+    alpha
+        (N,), always finite, sums to 1: the nearest found where the problem has no solution.
+    residual
+        (k,) achieved minus target [normalised].
+    status
+        exact: every row is met. inexact: they could be, but weights or ridge held them off. infeasible: no alpha
+        meets them all. failed: the solver found nothing better than `alpha`.
+    message
+        The status in plain words.
+    conflicts
+        Why it is infeasible.
+    """
+
+    alpha: Array
+    residual: Array
+    status: Status
+    message: str = ""
+    conflicts: tuple[Conflict, ...] = ()
+
+    def __post_init__(self) -> None:
+        assign(
+            self,
+            alpha=frozen_array(self.alpha, "alpha", (None,)),
+            residual=frozen_array(self.residual, "residual", (None,)),
+        )
+        if self.status not in ("exact", "inexact", "infeasible", "failed"):
+            raise InputError(f"status: expected exact, inexact, infeasible or failed, got {self.status!r}")
+        if abs(self.alpha.sum() - 1) > 1e-6:
+            raise InputError(f"alpha: expected coefficients that sum to 1, got a sum of {self.alpha.sum()}")
+
+
+@dataclass(frozen=True, eq=False)
+class MixBatch:
+    """Many mixes as arrays: alpha (B, N), residual (B, k), status (B,)."""
+
+    alpha: Array
+    residual: Array
+    status: tuple[Status, ...]
+
+    def __post_init__(self) -> None:
+        b = len(self.status)
+        assign(
+            self,
+            alpha=frozen_array(self.alpha, "alpha", (b, None)),
+            residual=frozen_array(self.residual, "residual", (b, None)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.status)
