@@ -75,8 +75,9 @@ def field_to_mesh(field: Field, bounds: Array, resolution: int) -> Trimesh:
     root = pitch * 2**depth
     slope, crossed, shift = _survey(clipped, bounds, pitch, depth)
     while True:
-        cells = igl.lipschitz_octree(origin, root, depth, lambda p, slope=slope: np.abs(clipped(p)) / slope)[:, YXZ]
-        if len(cells):
+        cells = igl.lipschitz_octree(origin, root, depth, lambda p, slope=slope: np.abs(clipped(p)) / slope)
+        if cells.size:  # without cells libigl forgets the columns too
+            cells = cells[:, YXZ]
             active = np.unique(_key(cells >> shift, 1 << depth))
             if np.isin(crossed, active, assume_unique=True).all():
                 break
@@ -130,7 +131,7 @@ def _clip(field: Field, bounds: Array, pitch: float) -> Field:
         values = np.maximum(np.asarray(field(np.clip(points, *bounds)), float).reshape(-1), walls)
         if not np.isfinite(values).all():
             raise InputError("field: expected finite values, got NaN or infinity; the weights are not usable")
-        return values
+        return np.asarray(values)
 
     return clipped
 
@@ -162,9 +163,7 @@ def _key(cells: Array, size: int) -> Array:
     return np.asarray((cells[:, 0] * wide + cells[:, 1]) * wide + cells[:, 2])
 
 
-def _complete(
-    field: Field, cells: Array, origin: Array, root: float, depth: int
-) -> tuple[Array, Array, Array, Array]:
+def _complete(field: Field, cells: Array, origin: Array, root: float, depth: int) -> tuple[Array, Array, Array, Array]:
     """Add the neighbours that the surface runs on into, until it is closed.
 
     Returns cells (n, 3), their corners (n, 8) as indices, and the corners' values (m,) and points (m, 3).

@@ -10,7 +10,7 @@ import importlib
 import logging
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -253,8 +253,8 @@ def _offers(
 
 def known_options(cls: type) -> dict[str, str]:
     """The option names of a plugin class (its dataclass fields) with their declared types, as text."""
-    declared = getattr(cls, "__dataclass_fields__", {})
-    return {name: getattr(f.type, "__name__", str(f.type)) for name, f in declared.items() if f.init}
+    declared = fields(cls) if is_dataclass(cls) else ()
+    return {f.name: getattr(f.type, "__name__", str(f.type)) for f in declared if f.init}
 
 
 _CHECKED: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}

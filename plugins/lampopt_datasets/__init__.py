@@ -1,1 +1,9 @@
-"""To come."""
+"""Exemplars from files: a table beside a folder of meshes."""
+
+from lampopt import hookimpl
+
+
+@hookimpl
+def lampopt_sources() -> dict[str, str]:
+    """Sources by name."""
+    return {"table": "lampopt_datasets.table:Table"}

@@ -1,1 +1,9 @@
-"""To come."""
+"""Parametric families whose true mesh is known at any parameters."""
+
+from lampopt import hookimpl
+
+
+@hookimpl
+def lampopt_sources() -> dict[str, str]:
+    """Sources by name."""
+    return {"plate": "lampopt_families.plate:PlateSource"}

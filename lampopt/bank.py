@@ -1,0 +1,387 @@
+"""Exemplars → bank: fit every exemplar with one decoder from one shared start (paper, section 3).
+
+The work is cut into batches that are fixed up front. Each finished batch is written to `<store>.partial/`, so that an
+interrupted build goes on where it stopped and ends with the very same bank.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+
+from lampopt import lamp
+from lampopt.errors import BankError, FitError, InputError, MeasureError, PluginError
+from lampopt.plugins import Plugins
+from lampopt.protocols import Decoder, Measure, Progress, Shared
+from lampopt.topology import topology
+from lampopt.types import Array, Bank, Exemplars, Frame, Parameter, Scalar, Spec
+from lampopt.units import factor, filled
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+FILL = 0.6  # part of the box that the largest exemplar takes: the rest is room to extrapolate
+PROBES = 16384  # points where linearity is tested; about 2 % of them fall near the surface
+FOLLOWS = 0.9  # least R² of a declared measurement against its parameter
+log = logging.getLogger("lampopt")
+
+
+def build_bank(
+    exemplars: Exemplars,
+    decoder: str | Spec = "sdf-mlp",
+    *,
+    seed: int = 0,
+    store: str | Path | None = None,
+    measured: Mapping[str, str] | None = None,
+    batch: int = 8,
+    probes: int = PROBES,
+    progress: Progress | None = None,
+    plugins: Plugins | None = None,
+) -> Bank:
+    """Fit `exemplars` with `decoder` from a shared start.
+
+    Parameters
+    ----------
+    exemplars
+        N meshes with parameters.
+    decoder
+        Name, or Spec with options.
+    seed
+        Same seed, same bank, bit for bit at equal thread count.
+    store
+        The `.lamp` file to write. An interrupted build of the same inputs is resumed from beside it; a finished one
+        is loaded.
+    measured
+        Which parameters can be measured on a mesh, and how, beyond what the source declares:
+        ``{"length": "extents.length"}``.
+    batch
+        Exemplars fitted together.
+    probes
+        Points where linearity is tested later.
+    progress
+        Told how far it is.
+
+    Raises
+    ------
+    FitError
+        Naming the exemplar that cannot be fitted, and why.
+    BankError
+        If `store` holds a bank, or the beginning of one, made from other inputs.
+    InputError, PluginError
+        If an argument cannot be used.
+    """
+    plugins = plugins or Plugins.load().report()
+    spec = Spec.of(decoder)
+    made = plugins.make("decoder", spec)
+    if not isinstance(made, Decoder):
+        raise PluginError(f"decoder {spec.name!r}: {made!r} lacks what lampopt.protocols.Decoder asks for")
+    if batch < 1 or probes < 1:
+        raise InputError(f"batch and probes: expected at least 1, got {batch} and {probes}")
+    facts = _survey(exemplars)
+    plan = _plan(exemplars, facts, spec, seed, batch, probes)
+    path = Path(store) if store is not None else None
+    if path is not None and path.exists():
+        return _finished(path, plan)
+    measured_by = {**exemplars.measured, **(measured or {})}
+    values = _measure_all(exemplars, measured_by, plugins)
+    partial = _Partial.open(path, plan) if path is not None else None
+    frame = _frame(facts.bounds, exemplars.unit)
+    meshes = _InBox(exemplars.meshes, exemplars.names, frame)
+    shared, weights, error = _fit(exemplars, meshes, frame, made, seed, batch, partial, progress)
+    points = np.asarray(made.probes(shared, probes, seed), float)
+    bank = Bank(
+        space=_ranged(exemplars.space, exemplars.parameters),
+        parameters=exemplars.parameters,
+        label_space=_ranged(exemplars.label_space, exemplars.labels),
+        labels=exemplars.labels,
+        names=exemplars.names,
+        weights=weights,
+        shared=shared,
+        frame=frame,
+        decoder=spec,
+        probes=points,
+        probe_values=np.stack([made.evaluate(shared, w, points) for w in weights]),
+        fit_error=error,
+        measured_by=measured_by,
+        measured=values,
+        mesh_facts=facts.common,
+        provenance=_provenance(plan, plugins, spec, seed, batch),
+    )
+    if path is None or partial is None:
+        return bank
+    bank = lamp.store_bank(bank, path)
+    partial.remove()
+    return bank
+
+
+def decoder_of(bank: Bank, plugins: Plugins) -> Decoder:
+    """The decoder that `bank` was fitted by, rebuilt from its Spec."""
+    made = plugins.make("decoder", bank.decoder)
+    if not isinstance(made, Decoder):
+        raise PluginError(f"decoder {bank.decoder.name!r}: {made!r} lacks what lampopt.protocols.Decoder asks for")
+    return made
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What one look at every mesh tells."""
+
+    bounds: Array  # (N, 2, 3)
+    hashes: tuple[str, ...]
+    common: Mapping[str, int]
+
+
+def _survey(exemplars: Exemplars) -> _Facts:
+    bounds, hashes, shapes = [], [], set()
+    for name, mesh in zip(exemplars.names, exemplars.meshes, strict=True):
+        if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+            raise FitError(f"exemplar {name!r}: expected a mesh with faces and finite vertices; repair or remove it")
+        bounds.append(mesh.bounds)
+        hashes.append(lamp.digest(np.asarray(mesh.vertices, float)) + lamp.digest(np.asarray(mesh.faces, np.int64)))
+        shapes.add(topology(mesh))
+    shape = shapes.pop()
+    common = {} if shapes or shape.genus is None else {"bodies": shape.bodies, "genus": shape.genus}
+    return _Facts(np.array(bounds), tuple(hashes), common)
+
+
+def _frame(bounds: Array, unit: str) -> Frame:
+    low, high = bounds[:, 0].min(0), bounds[:, 1].max(0)
+    centre = (low + high) / 2
+    reach = float(np.abs(bounds - centre).max())
+    if reach == 0:
+        raise InputError("exemplars: expected meshes with an extent, got a single point")
+    return Frame(FILL / reach, centre, unit)
+
+
+class _InBox(Sequence["Trimesh"]):
+    """The exemplars' meshes in the decoder's box, moved there on access; `metadata["name"]` says whose."""
+
+    def __init__(self, meshes: Sequence[Trimesh], names: Sequence[str], frame: Frame) -> None:
+        self._meshes, self._names, self._frame = meshes, names, frame
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    @overload
+    def __getitem__(self, index: int) -> Trimesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> _InBox: ...
+    def __getitem__(self, index: int | slice) -> Trimesh | _InBox:
+        if isinstance(index, slice):
+            chosen = range(len(self))[index]
+            return _InBox([self._meshes[i] for i in chosen], [self._names[i] for i in chosen], self._frame)
+        mesh = self._frame.to_box(self._meshes[index])
+        mesh.metadata["name"] = self._names[index]
+        return mesh
+
+
+def _mean_mesh(exemplars: Exemplars, meshes: Sequence[Trimesh], frame: Frame) -> Trimesh:
+    """The mesh at the mean design where the source knows it, else the exemplar nearest to the mean."""
+    mean = exemplars.parameters.mean(0)
+    if exemplars.mesh_at is not None:
+        mesh = frame.to_box(exemplars.mesh_at(mean))
+        mesh.metadata["name"] = "mean design"
+        return mesh
+    spread = np.ptp(exemplars.parameters, axis=0)
+    away = (exemplars.parameters - mean) / np.where(spread > 0, spread, 1.0)
+    return meshes[int((away**2).sum(1).argmin())]
+
+
+def _fit(
+    exemplars: Exemplars,
+    meshes: _InBox,
+    frame: Frame,
+    decoder: Decoder,
+    seed: int,
+    batch: int,
+    partial: _Partial | None,
+    progress: Progress | None,
+) -> tuple[Shared, Array, Array]:
+    """The shared start, weights (N, D) and errors (N,); what `partial` holds already is taken from it."""
+    starts = range(0, len(meshes), batch)
+    steps = 1 + len(starts)
+    tell = progress or (lambda done, message="": None)
+    shared: Shared | None = partial.read("shared") if partial else None
+    if shared is None:
+        tell(0.0, "shared start")
+        shared = dict(decoder.prepare(meshes, mean=_mean_mesh(exemplars, meshes, frame), seed=seed))
+        if partial:
+            partial.write("shared", shared)
+    weights, errors = [], []
+    for number, start in enumerate(starts):
+        chosen = meshes[start : start + batch]
+        done = partial.read(f"batch_{number:04d}") if partial else None
+        if done is None:
+            what = f"exemplars {start + 1} to {start + len(chosen)} of {len(meshes)}"
+            log.info("fitting %s", what)
+            fitted, error = decoder.fit(
+                shared,
+                chosen,
+                seed=seed,
+                progress=_part(tell, (1 + number) / steps, 1 / steps, what),
+            )
+            done = {"weights": np.asarray(fitted, np.float32), "error": np.asarray(error, float)}
+            if partial:
+                partial.write(f"batch_{number:04d}", done)
+        weights.append(done["weights"])
+        errors.append(done["error"])
+    tell(1.0, "done")
+    return shared, np.concatenate(weights), np.concatenate(errors)
+
+
+def _part(tell: Progress, start: float, share: float, what: str) -> Callable[..., None]:
+    def progress(done: float, message: str = "", /) -> None:
+        tell(start + share * done, f"{what}: {message}" if message else what)
+
+    return progress
+
+
+def _measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: Plugins) -> Array:
+    """Values (N, len(measured_by)) read off the exemplars' meshes, each in its parameter's unit.
+
+    Raises
+    ------
+    InputError
+        If one cannot be read, or does not follow its parameter over the exemplars.
+    """
+    if not measured_by:
+        return np.empty((len(exemplars), 0))
+    index = {q.name: i for i, q in enumerate(exemplars.space)}
+    if unknown := sorted(set(measured_by) - set(index)):
+        raise InputError(f"measured: {unknown} are no parameters; known are {list(index)}")
+    asked = {p: resolve_address(address, plugins) for p, address in measured_by.items()}
+    values = np.empty((len(exemplars), len(asked)))
+    for row, (name, mesh) in enumerate(zip(exemplars.names, exemplars.meshes, strict=True)):
+        known: dict[str, Array] = {}
+        for column, (address, measure, place) in enumerate(asked.values()):
+            key = address.partition(".")[0]
+            try:
+                if key not in known:
+                    known[key] = np.asarray(measure(mesh), float)
+            except MeasureError as error:
+                raise InputError(f"measured: {address!r} cannot be read off exemplar {name!r}: {error}") from error
+            values[row, column] = known[key][place]
+    for column, (parameter, (address, measure, place)) in enumerate(asked.items()):
+        q = exemplars.space[index[parameter]]
+        unit = filled(measure.units[place], exemplars.unit)
+        values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
+        given = exemplars.parameters[:, index[parameter]]
+        if len(given) > 2 and np.ptp(given) > 0:
+            r2 = np.corrcoef(given, values[:, column])[0, 1] ** 2 if np.ptp(values[:, column]) > 0 else 0.0
+            if r2 < FOLLOWS:
+                raise InputError(
+                    f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
+                    f"expected {FOLLOWS}): it measures something else, or the table is wrong"
+                )
+    return values
+
+
+def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:
+    """`measure.value` as (address, the measure, the value's place in it).
+
+    Raises
+    ------
+    InputError
+        If the measure has no such value: its values are listed.
+    """
+    name, dot, value = address.partition(".")
+    measure = plugins.make("measure", name)
+    if not isinstance(measure, Measure):
+        raise PluginError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
+    if not dot or value not in measure.names:
+        known = ", ".join(f"{name}.{v}" for v in measure.names)
+        raise InputError(f"measured value {address!r}: expected 'measure.value', one of {known}")
+    return address, measure, tuple(measure.names).index(value)
+
+
+def _ranged(space: Sequence[Parameter], values: Array) -> tuple[Parameter, ...]:
+    """`space` with the range that `values` (N, d) span; a label nobody has spans none."""
+
+    def each() -> Iterator[Parameter]:
+        for q, column in zip(space, values.T, strict=True):
+            known = column[~np.isnan(column)]
+            yield (
+                replace(q, low=float(known.min()), high=float(known.max()))
+                if len(known)
+                else replace(q, low=None, high=None)
+            )
+
+    return tuple(each())
+
+
+def _plan(exemplars: Exemplars, facts: _Facts, spec: Spec, seed: int, batch: int, probes: int) -> str:
+    """A hash of all that a bank depends on."""
+    inputs = {
+        "meshes": facts.hashes,
+        "names": exemplars.names,
+        "parameters": lamp.digest(exemplars.parameters),
+        "labels": lamp.digest(exemplars.labels),
+        "space": [str(q) for q in (*exemplars.space, *exemplars.label_space)],
+        "unit": exemplars.unit,
+        "decoder": repr(spec),
+        "seed": seed,
+        "batch": batch,
+        "probes": probes,
+    }
+    return hashlib.blake2b(json.dumps(inputs, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def _finished(path: Path, plan: str) -> Bank:
+    bank = lamp.load_bank(path)
+    if bank.provenance.get("plan") != plan:
+        raise BankError(f"{path}: holds a bank made from other exemplars, options or seed: delete it or name another")
+    return bank
+
+
+def _provenance(plan: str, plugins: Plugins, spec: Spec, seed: int, batch: int) -> dict[str, Scalar]:
+    from importlib.metadata import version
+
+    offer = plugins.get("decoder", spec.name)
+    return {
+        "plan": plan,
+        "seed": seed,
+        "batch": batch,
+        "lampopt": version("lampopt"),
+        "decoder": f"{offer.distribution} {offer.version}",
+    }
+
+
+@dataclass(frozen=True)
+class _Partial:
+    """`<store>.partial/`: the finished parts of a build that has not come to its end."""
+
+    folder: Path
+
+    @classmethod
+    def open(cls, store: Path, plan: str) -> _Partial:
+        folder = store.with_name(store.name + ".partial")
+        note = folder / "plan.json"
+        if note.exists():
+            if json.loads(note.read_text()).get("plan") != plan:
+                raise BankError(
+                    f"{folder}: holds the beginning of a bank made from other exemplars, options or seed: delete it "
+                    "or name another store"
+                )
+            log.info("resuming the build in %s", folder)
+        else:
+            folder.mkdir(parents=True, exist_ok=True)
+            note.write_text(json.dumps({"plan": plan}))
+        return cls(folder)
+
+    def read(self, name: str) -> dict[str, Array] | None:
+        path = self.folder / f"{name}.safetensors"
+        return lamp.read(path)[0] if path.exists() else None
+
+    def write(self, name: str, arrays: Mapping[str, Array]) -> None:
+        lamp.write(self.folder / f"{name}.safetensors", arrays, {"format": "lampopt part"})
+
+    def remove(self) -> None:
+        shutil.rmtree(self.folder)

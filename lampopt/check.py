@@ -1,0 +1,217 @@
+"""Design → checks: each one line of evidence, in the order alpha, field, mesh.
+
+The paper's mismatch tests linearity in the weights (assumption A2) and nothing else: a decoder that is exactly linear
+scores 0 on a wrong shape. So a design is accepted when every check passes, never the mismatch alone (docs/safety.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.bank import resolve_address
+from lampopt.errors import MeasureError, StudyError
+from lampopt.plugins import Plugins
+from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
+from lampopt.solve import Posed
+from lampopt.topology import topology
+from lampopt.types import Array, Bank, Check, Design, Mix, Needs
+from lampopt.units import factor, filled
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+DEFAULTS: Mapping[str, float] = {
+    "target": 0.02,  # worst unmet target [half of the bank's range]
+    "alpha": 3.0,  # ‖alpha − centre‖; a swap of one exemplar for another is 1.41
+    "mismatch": 0.01,  # the paper's epsilon [box]
+    "mismatch.band": 0.01,  # the same near the surface
+    "drift": 0.05,  # [range of the measured value over the bank]
+    "clearance": 1.5,  # between the surface and the box [cells]
+}
+BAND = 0.05  # half the width of the narrow band about the surface [box]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits in force: the study's, else the bank's, else the defaults."""
+
+    study: Mapping[str, float]
+    bank: Mapping[str, float]
+
+    @classmethod
+    def of(cls, bank: Bank, limits: Mapping[str, float]) -> Limits:
+        """Those for a study with `limits` of its own.
+
+        Raises
+        ------
+        StudyError
+            If one is for a check that does not exist.
+        """
+        known = {*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by)}
+        if unknown := sorted(set(limits) - known):
+            raise StudyError(f"limits: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        return cls(limits, bank.limits)
+
+    def __getitem__(self, name: str) -> float:
+        for known in (self.study, self.bank, DEFAULTS):
+            if name in known:
+                return float(known[name])
+        return self[name.rpartition(".")[0]]
+
+
+def alpha_checks(posed: Posed, mix: Mix, limits: Limits) -> list[Check]:
+    """What alpha alone tells: are the targets met, how far from the centre."""
+    worst = float(np.abs(mix.residual).max(initial=0.0))
+    distance = float(np.linalg.norm(mix.alpha - posed.centre()))
+    return [
+        Check(
+            "target", worst, "<=", limits["target"], "half range", "alpha", "" if mix.status == "exact" else mix.message
+        ),
+        Check("alpha", distance, "<=", limits["alpha"], "", "alpha", "‖alpha − centre‖"),
+    ]
+
+
+def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tuple[float, float]:
+    """The linearity mismatch over all probes and over those within `BAND` of the surface [box].
+
+    The mean of |f(z; Wᵀalpha) − Σ alpha_i f(z; w_i)| (paper, section 3), with f(z; w_i) stored in the bank: one
+    forward pass and one product in place of N + 1 passes. The band's is NaN for decoders whose values are no
+    distances (C > 1), or where no probe is near.
+    """
+    mixed = np.asarray(decoder.evaluate(bank.shared, weights, bank.probes), float)
+    linear = np.tensordot(alpha, bank.probe_values, 1)
+    gap = np.linalg.norm(mixed - linear, axis=-1)
+    if mixed.shape[-1] != 1:
+        return float(gap.mean()), float("nan")
+    near = np.minimum(np.abs(mixed), np.abs(linear))[:, 0] <= BAND
+    return float(gap.mean()), float(gap[near].mean()) if near.any() else float("nan")
+
+
+def field_checks(bank: Bank, decoder: Decoder, design: Design, limits: Limits) -> list[Check]:
+    """What the decoder's values at the probes tell, without a mesh."""
+    box, band = mismatches(bank, decoder, design.mix.alpha, design.weights)
+    found = [Check("mismatch", box, "<=", limits["mismatch"], "box", "field", "linearity, all of the box")]
+    if np.isfinite(band):
+        found.append(
+            Check(
+                "mismatch.band",
+                band,
+                "<=",
+                limits["mismatch.band"],
+                "box",
+                "field",
+                f"linearity within {BAND} of the surface",
+            )
+        )
+    return found
+
+
+def mesh_checks(
+    bank: Bank, decoder: Decoder, design: Design, resolution: int, limits: Limits, plugins: Plugins
+) -> list[Check]:
+    """What the mesh tells: its health, and every parameter that can be measured on it."""
+    mesh = design.mesh
+    faces = 0 if mesh is None else len(mesh.faces)
+    found = [Check("mesh", float(faces), ">=", 1.0, "faces", "mesh", "" if faces else "the field has no surface")]
+    if mesh is None:
+        return found
+    shape = topology(mesh)
+    found.append(Check("watertight", float(shape.closed), "=", 1.0, "", "mesh"))
+    for name, value in (("bodies", shape.bodies), ("genus", shape.genus)):
+        expected = bank.mesh_facts.get(name)
+        if expected is None:
+            found.append(
+                Check(name, _nan(value), "info", None, "", "mesh", "the exemplars differ in it, or are not closed")
+            )
+        else:
+            found.append(Check(name, _nan(value), "=", float(expected), "", "mesh", "as the exemplars"))
+    if bank.probe_values.shape[-1] == 1:
+        found.append(_clearance(bank, decoder, mesh, resolution, limits))
+    found += drift_checks(bank, design.mix.alpha, mesh, limits, plugins)
+    if isinstance(decoder, DesignChecks):
+        found += decoder.design_checks(bank.shared, design.weights, bank.frame.to_box(mesh))
+    return found
+
+
+def _nan(value: int | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _clearance(bank: Bank, decoder: Decoder, mesh: Trimesh, resolution: int, limits: Limits) -> Check:
+    """Whether the surface keeps clear of the box, where it would be cut."""
+    low, high = decoder.bounds
+    at = (np.asarray(mesh.bounds) - bank.frame.centre) * bank.frame.scale
+    cell = float((high - low).max()) / resolution
+    room = float(min((at[0] - low).min(), (high - at[1]).min())) / cell
+    return Check(
+        "clearance", room, ">=", limits["clearance"], "cells", "mesh", "the surface is cut by the box below that"
+    )
+
+
+def drift_checks(bank: Bank, alpha: Array, mesh: Trimesh, limits: Limits, plugins: Plugins) -> list[Check]:
+    """Every parameter declared measurable, against what the mix predicts for it.
+
+    The prediction is Mᵀalpha with M what was measured on the exemplars: Pᵀalpha wherever the measurement is the
+    parameter, and still right where it differs by an offset or a factor (a parameter given as a change of length).
+    """
+    found, known = [], _Measured(mesh, plugins)
+    for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
+        unit = next(q.unit for q in bank.space if q.name == parameter)
+        expected, spread = float(alpha @ values), float(np.ptp(values))
+        limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
+        try:
+            value = known(address, bank.frame.unit, unit)
+        except MeasureError as error:
+            found.append(Check(f"drift.{parameter}", float("nan"), "<=", limit, unit, "mesh", f"{address}: {error}"))
+            continue
+        note = f"{address} {value:.6g}, predicted {expected:.6g}"
+        found.append(Check(f"drift.{parameter}", abs(value - expected), "<=", limit, unit, "mesh", note))
+    return found
+
+
+class _Measured:
+    """Values read off one mesh, each measure called once."""
+
+    def __init__(self, mesh: Trimesh, plugins: Plugins) -> None:
+        self._mesh, self._plugins = mesh, plugins
+        self._values: dict[str, Array | MeasureError] = {}
+
+    def __call__(self, address: str, length: str, unit: str) -> float:
+        _, measure, place = resolve_address(address, self._plugins)
+        name = address.partition(".")[0]
+        if name not in self._values:
+            try:
+                self._values[name] = np.asarray(measure(self._mesh), float)
+            except MeasureError as error:
+                self._values[name] = error
+        values = self._values[name]
+        if isinstance(values, MeasureError):
+            raise values
+        return float(values[place]) * factor(filled(measure.units[place], length), unit, address)
+
+
+def measure_checks(bank: Bank, mesh: Trimesh, measures: Sequence[str], plugins: Plugins) -> list[Check]:
+    """Values that a study wants to know; they judge nothing."""
+    found = []
+    for name in measures:
+        measure = plugins.make("measure", name)
+        if not isinstance(measure, Measure):
+            raise StudyError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
+        try:
+            values, note = np.asarray(measure(mesh), float), ""
+        except MeasureError as error:
+            values, note = np.full(len(measure.names), np.nan), str(error)
+        for value, label, unit in zip(values, measure.names, measure.units, strict=True):
+            found.append(
+                Check(f"{name}.{label}", float(value), "info", None, filled(unit, bank.frame.unit), "mesh", note)
+            )
+    return found
+
+
+def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker], needs: Needs) -> list[Check]:
+    """What plugins' checkers of this level say."""
+    return [check for checker in checkers.values() if checker.needs == needs for check in checker(bank, design)]

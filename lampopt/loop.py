@@ -1,0 +1,292 @@
+"""The stages chained: the only module that knows them all.
+
+source ─ exemplars ─► bank ─► solve ─► mix ─► decode ─► check ─► record
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lampopt import lamp
+from lampopt.bank import decoder_of
+from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
+from lampopt.decode import decode
+from lampopt.errors import EmptyMesh, MeasureError, PluginError, StudyError
+from lampopt.mix import mixed_weights, predicted
+from lampopt.plugins import Plugins
+from lampopt.protocols import Checker, Decoder, Measure, Progress, Solver
+from lampopt.record import RunFolder
+from lampopt.solve import Posed, pose, solve
+from lampopt.study import Reduce, Study, Value
+from lampopt.types import LEVELS, Bank, Check, Design, Mix, Needs, Result, Scalar, Spec
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
+
+
+def measure(name: str | Spec, mesh: Trimesh, *, plugins: Plugins | None = None) -> dict[str, float]:
+    """The values of measure `name` on `mesh` [the mesh's unit], by name.
+
+    Raises
+    ------
+    MeasureError
+        If a feature is not there.
+    """
+    made = (plugins or Plugins.load().report()).make("measure", name)
+    if not isinstance(made, Measure):
+        raise PluginError(f"measure {Spec.of(name).name!r}: {made!r} lacks what lampopt.protocols.Measure asks for")
+    if len(mesh.faces) == 0:
+        raise MeasureError(f"measure {Spec.of(name).name!r}: expected a mesh with faces, got none")
+    return {value: float(v) for value, v in zip(made.names, made(mesh), strict=True)}
+
+
+def design(
+    bank: Bank | Path | str,
+    targets: Mapping[str, Value],
+    *,
+    keep: Sequence[str] = (),
+    reference: str | None = None,
+    objective: Reduce | None = None,
+    solver: str | Spec = "kkt",
+    measures: Sequence[str] = (),
+    limits: Mapping[str, float] | None = None,
+    level: Needs = "mesh",
+    resolution: int = 128,
+    plugins: Plugins | None = None,
+) -> Result:
+    """One design, the shortest way: ``design(bank, {"roof": 1.42, "ramp": 12.0})``. Arguments as in `Study`."""
+    study = Study(
+        bank,
+        targets=targets,
+        keep=tuple(keep),
+        reference=reference,
+        objective=objective,
+        solver=solver,
+        measures=tuple(measures),
+        limits=limits or {},
+        level=level,
+        resolution=resolution,
+    )
+    return run(study, plugins=plugins)
+
+
+def run(study: Study, folder: str | Path | None = None, *, plugins: Plugins | None = None) -> Result:
+    """The design that `study` asks for; with `folder` recorded there, or read back if it is there already."""
+    (result,) = _Run.of(study, plugins).results([{}], folder, None)
+    return result
+
+
+def sweep(
+    study: Study,
+    grid: Grid | None = None,
+    folder: str | Path | None = None,
+    *,
+    progress: Progress | None = None,
+    plugins: Plugins | None = None,
+) -> Iterator[Result]:
+    """One design for each combination of the values in `grid`, yielded as they come; nothing is held.
+
+    Parameters
+    ----------
+    study
+        What all designs have in common; `grid` replaces its targets of the same names.
+    grid
+        Values by name, every combination of which is made, or a list of target tables; default: `study.sweep`.
+    folder
+        Where results are recorded. Designs that are there already are read back, not computed again.
+    progress
+        Told how far it is.
+
+    Raises
+    ------
+    StudyError
+        Before anything is computed, if the study asks for what cannot be.
+    """
+    return _Run.of(study, plugins).results(_combinations(study.sweep if grid is None else grid), folder, progress)
+
+
+def _combinations(grid: Grid) -> list[dict[str, Value]]:
+    if not grid:
+        raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, got none")
+    if not isinstance(grid, Mapping):
+        return [dict(table) for table in grid]
+    for name, values in grid.items():
+        if isinstance(values, str) or len(values) == 0:
+            raise StudyError(f"sweep: {name}: expected a list of values, got {values!r}")
+    return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A study with everything it names found and opened."""
+
+    study: Study
+    bank: Bank
+    decoder: Decoder
+    solver: Solver
+    limits: Limits
+    checkers: Mapping[str, Checker]
+    plugins: Plugins
+
+    @classmethod
+    def of(cls, study: Study, plugins: Plugins | None) -> _Run:
+        plugins = plugins or Plugins.load().report()
+        _require(study, plugins)
+        bank = study.opened()
+        solver = plugins.make("solver", study.solver)
+        if not isinstance(solver, Solver):
+            raise PluginError(f"solver {study.solver!r}: {solver!r} lacks what lampopt.protocols.Solver asks for")
+        checkers = {name: plugins.make("check", name) for name in study.checks}
+        for name, made in checkers.items():
+            if not isinstance(made, Checker):
+                raise PluginError(f"check {name!r}: {made!r} lacks what lampopt.protocols.Checker asks for")
+        for name in study.measures:
+            plugins.get("measure", name)
+        return cls(study, bank, decoder_of(bank, plugins), solver, Limits.of(bank, study.limits), checkers, plugins)
+
+    def results(
+        self, changes: Sequence[Mapping[str, Value]], folder: str | Path | None, progress: Progress | None
+    ) -> Iterator[Result]:
+        """Check every target first, then yield the results one by one."""
+        asked = [self._asked(change) for change in changes]
+        self._posed(asked[0])  # raises here, before the first design, what cannot be asked
+        return self._yield(asked, folder, progress)
+
+    def _asked(self, change: Mapping[str, Value]) -> dict[str, float]:
+        targets = {**self.study.targets, **change}
+        return replace(self.study, targets=targets, sweep={}).asked(self.bank)
+
+    def _yield(
+        self, asked: Sequence[Mapping[str, float]], folder: str | Path | None, progress: Progress | None
+    ) -> Iterator[Result]:
+        with RunFolder.open(folder) if folder is not None else nullcontext() as place:
+            identity = ""
+            if place is not None:
+                identity = self._identity()
+                place.write_study(self._stored(place.folder).to_toml())
+            for number, target in enumerate(asked):
+                if progress:
+                    progress(number / len(asked), f"design {number + 1} of {len(asked)}")
+                if place is None:
+                    yield self._judge(target)
+                    continue
+                key = _hash({"run": identity, "target": dict(target)})
+                result = place.read(key, self._rebuilt)
+                if result is None:
+                    began = time.perf_counter()
+                    result = self._judge(target)
+                    seconds = time.perf_counter() - began
+                    where = place.write(key, result, self.bank, form=self.study.format, seconds=seconds)
+                    self.plugins.recorded(result, where)
+                yield result
+            if progress:
+                progress(1.0, f"{len(asked)} designs")
+
+    def _judge(self, target: Mapping[str, float]) -> Result:
+        """One design through solve, mix, decode and check, as far as the study's level."""
+        posed = self._posed(target)
+        mix = solve(posed, self.solver)
+        made = self._design(target, mix)
+        checks = alpha_checks(posed, mix, self.limits)
+        for level in LEVELS[: LEVELS.index(self.study.level) + 1]:
+            if level == "field":
+                checks += field_checks(self.bank, self.decoder, made, self.limits)
+            if level == "mesh":
+                checks += mesh_checks(self.bank, self.decoder, made, self.study.resolution, self.limits, self.plugins)
+                if made.mesh is not None:
+                    checks += measure_checks(self.bank, made.mesh, self.study.measures, self.plugins)
+            checks += stranger_checks(self.bank, made, self.checkers, level)
+        return Result(made, tuple(_unique(checks)), self._provenance())
+
+    def _posed(self, target: Mapping[str, float]) -> Posed:
+        study = self.study
+        return pose(self.bank, target, ranges=study.bounds(self.bank), hard=study.hard, reference=study.reference)
+
+    def _design(self, target: Mapping[str, float], mix: Mix, mesh: Path | None = None) -> Design:
+        weights = mixed_weights(self.bank, mix.alpha)
+
+        def make() -> Trimesh | None:
+            if mesh is not None and mesh.exists():
+                import trimesh
+
+                return trimesh.load_mesh(mesh)
+            try:
+                return decode(self.bank, self.decoder, weights, resolution=self.study.resolution)
+            except EmptyMesh:
+                return None
+
+        return Design(target, mix, predicted(self.bank, mix.alpha), weights, make)
+
+    def _rebuilt(self, target: Mapping[str, float], mix: Mix, mesh: Path | None) -> Design:
+        return self._design(target, mix, mesh)
+
+    def _stored(self, folder: Path) -> Study:
+        """The study with a bank that TOML can name: one that is in no file is stored in the run folder."""
+        if isinstance(self.study.bank, Bank) and self.study.bank.path is None:
+            path = folder / "bank.lamp"
+            lamp.store_bank(self.bank, path)
+            return replace(self.study, bank=path.name)
+        path = self.bank.path or Path(str(self.study.bank))
+        return replace(self.study, bank=str(path.resolve()))
+
+    def _identity(self) -> str:
+        """A hash of all but the target that a result depends on."""
+        study = self.study
+        return _hash(
+            {
+                "bank": [lamp.digest(getattr(self.bank, name)) for name in lamp.PLAIN],
+                "shared": {name: lamp.digest(array) for name, array in self.bank.shared.items()},
+                "limits": [dict(study.limits), dict(self.bank.limits)],
+                "decoder": repr(self.bank.decoder),
+                "solver": repr(study.solver),
+                "reference": study.reference,
+                "ranges": study.bounds(self.bank),
+                "hard": study.hard,
+                "measures": study.measures,
+                "checks": study.checks,
+                "level": study.level,
+                "resolution": study.resolution,
+                "seed": study.seed,
+            }
+        )
+
+    def _provenance(self) -> dict[str, Scalar]:
+        solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
+        return {
+            **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
+            "lampopt": version("lampopt"),
+            "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
+            "level": self.study.level,
+            "resolution": self.study.resolution,
+        }
+
+
+def _require(study: Study, plugins: Plugins) -> None:
+    present = {offer.distribution for offer in plugins.offers.values()} | {o.plugin for o in plugins.offers.values()}
+    if missing := [name for name in study.requires if name not in present]:
+        raise PluginError(
+            f"study requires {', '.join(missing)}, not installed; installed are {', '.join(sorted(present))}"
+        )
+
+
+def _unique(checks: Sequence[Check]) -> list[Check]:
+    """The checks, refusing a plugin's that takes the name of another: evidence must not be shadowed."""
+    names = [check.name for check in checks]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise PluginError(f"checks: {', '.join(twice)} come twice; a plugin's checks need names of their own")
+    return list(checks)
+
+
+def _hash(value: object) -> str:
+    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -1,0 +1,101 @@
+"""How generated shapes are scored, as the paper's appendix G defines it. Nothing here judges a design in the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types import Array
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
+def sample_surface(mesh: Trimesh, count: int, seed: int = 0) -> Array:
+    """(count, 3) points drawn evenly over the surface [mesh unit]."""
+    import trimesh
+
+    return np.asarray(trimesh.sample.sample_surface(mesh, count, seed=seed)[0], float)
+
+
+def _cloud(points: Array, name: str) -> Array:
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise InputError(f"{name}: expected points of shape (n, 3), n ≥ 1, got {points.shape}")
+    return points
+
+
+def chamfer_distance(x: Array, y: Array) -> float:
+    """Mean squared distance from each point of `x` (n, 3) to the nearest of `y` (m, 3), plus the reverse [unit²]."""
+    from scipy.spatial import KDTree
+
+    x, y = _cloud(x, "x"), _cloud(y, "y")
+    there, back = KDTree(y).query(x)[0], KDTree(x).query(y)[0]
+    return float((there**2).mean() + (back**2).mean())
+
+
+def iou(a: Trimesh, b: Trimesh, resolution: int = 64) -> float:
+    """|A ∩ B| / |A ∪ B| of the solids on `resolution` voxels along the longest side of their common box.
+
+    Inside is told by the winding number, so surfaces with small holes are judged too.
+
+    Raises
+    ------
+    InputError
+        If neither holds a voxel.
+    """
+    import igl
+
+    low = np.minimum(a.bounds[0], b.bounds[0])
+    size = np.maximum(a.bounds[1], b.bounds[1]) - low
+    pitch = float(size.max()) / resolution
+    axes = [l + pitch * (np.arange(max(int(np.ceil(s / pitch)), 1)) + 0.5) for l, s in zip(low, size, strict=True)]  # noqa: E741
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    inside = [
+        igl.fast_winding_number(np.asarray(m.vertices, float), np.asarray(m.faces, np.int64), centres) > 0.5
+        for m in (a, b)
+    ]
+    union = int((inside[0] | inside[1]).sum())
+    if union == 0:
+        raise InputError(f"iou: no voxel of {pitch:g} lies inside either mesh; are they closed and outward?")
+    return float((inside[0] & inside[1]).sum() / union)
+
+
+def minimum_matching_distance(
+    generated: Sequence[Array], reference: Sequence[Array], distance: Callable[[Array, Array], float] = chamfer_distance
+) -> float:
+    """Mean over `generated` clouds of the least `distance` to any of `reference` (MMD)."""
+    if not generated or not reference:
+        raise InputError(f"MMD: expected clouds on both sides, got {len(generated)} and {len(reference)}")
+    return float(np.mean([min(distance(x, y) for y in reference) for x in generated]))
+
+
+def mean_absolute_error(wanted: Array, found: Array) -> float:
+    """Mean |found − wanted| (MAE)."""
+    wanted, found = _pair(wanted, found)
+    return float(np.abs(found - wanted).mean())
+
+
+def r_squared(wanted: Array, found: Array) -> float:
+    """1 − Σ(found − wanted)² / Σ(wanted − mean wanted)²: how well `found` follows `wanted` along the line y = x.
+
+    Raises
+    ------
+    InputError
+        If all wanted values are equal.
+    """
+    wanted, found = _pair(wanted, found)
+    total = float(((wanted - wanted.mean()) ** 2).sum())
+    if total == 0:
+        raise InputError("R²: expected wanted values that differ, got equal ones")
+    return 1 - float(((found - wanted) ** 2).sum()) / total
+
+
+def _pair(wanted: Array, found: Array) -> tuple[Array, Array]:
+    wanted, found = np.asarray(wanted, float), np.asarray(found, float)
+    if wanted.shape != found.shape or wanted.size == 0:
+        raise InputError(f"expected two arrays of one shape, not empty, got {wanted.shape} and {found.shape}")
+    return wanted, found

@@ -1,0 +1,197 @@
+"""Results → a run folder that loses nothing.
+
+    study.toml     what was asked last
+    runs.sqlite    a row per design: targets, alpha, checks, status, time
+    designs/KEY/   mesh and passport.json of each design that has a mesh
+
+A design's key is the hash of bank, resolved study and target: a row that is there is never computed again. Files are
+written aside and renamed, the row comes last, so a run that is killed at any moment goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types import Bank, Check, Design, Mix, Result
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS designs (
+    key TEXT PRIMARY KEY, target TEXT NOT NULL, alpha BLOB NOT NULL, residual BLOB NOT NULL, status TEXT NOT NULL,
+    message TEXT NOT NULL, checks TEXT NOT NULL, accepted INTEGER NOT NULL, provenance TEXT NOT NULL,
+    mesh TEXT, seconds REAL NOT NULL
+)"""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """An open run folder; only one process at a time has it."""
+
+    folder: Path
+    database: sqlite3.Connection
+
+    @classmethod
+    @contextmanager
+    def open(cls, folder: str | Path) -> Iterator[RunFolder]:
+        """Open or create `folder` under a lock.
+
+        Raises
+        ------
+        InputError
+            If another process has it, or it cannot be written.
+        """
+        from filelock import FileLock, Timeout
+
+        folder = Path(folder)
+        try:
+            (folder / "designs").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be used as a run folder: {error}") from error
+        try:
+            with (
+                FileLock(folder / "runs.lock", timeout=0),
+                closing(sqlite3.connect(folder / "runs.sqlite")) as database,
+            ):
+                database.execute(SCHEMA)
+                database.commit()
+                yield cls(folder, database)
+        except Timeout as error:
+            raise InputError(
+                f"{folder}: another process is running here; wait for it or name another folder"
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise InputError(f"{folder / 'runs.sqlite'}: is damaged or no database: {error}") from error
+
+    def write_study(self, text: str) -> None:
+        """Keep what was asked."""
+        _replace(self.folder / "study.toml", text)
+
+    def place(self, key: str) -> Path:
+        """The folder of the design called `key`."""
+        return self.folder / "designs" / key
+
+    def write(self, key: str, result: Result, bank: Bank, *, form: str, seconds: float) -> Path:
+        """Put a result on disk: mesh, passport, then the row. Returns the design's folder."""
+        design, place = result.design, self.place(key)
+        mesh = design.__dict__.get("mesh")  # only a mesh that was made: recording decodes nothing
+        aside = place.with_name(place.name + ".writing")
+        shutil.rmtree(aside, ignore_errors=True)
+        aside.mkdir()
+        if mesh is not None:
+            mesh.export(aside / f"mesh.{form}")
+        _replace(aside / "passport.json", json.dumps(passport(result, bank), indent=2))
+        shutil.rmtree(place, ignore_errors=True)
+        os.replace(aside, place)
+        self.database.execute(
+            "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?)",
+            (
+                key,
+                json.dumps(dict(design.target)),
+                design.mix.alpha.tobytes(),
+                design.mix.residual.tobytes(),
+                design.mix.status,
+                design.mix.message,
+                json.dumps([_as_row(check) for check in result.checks]),
+                int(result.accepted),
+                json.dumps(dict(result.provenance)),
+                f"mesh.{form}" if mesh is not None else None,
+                seconds,
+            ),
+        )
+        self.database.commit()
+        return place
+
+    def read(self, key: str, rebuild: Callable[[Mapping[str, float], Mix, Path | None], Design]) -> Result | None:
+        """The result recorded under `key`, its design made by `rebuild` (target, mix, mesh file), or None."""
+        row = self.database.execute(
+            "SELECT target, alpha, residual, status, message, checks, provenance, mesh FROM designs WHERE key = ?",
+            (key,),
+        ).fetchone()
+        if row is None:
+            return None
+        target, alpha, residual, status, message, checks, provenance, mesh = row
+        mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message)
+        design = rebuild(json.loads(target), mix, self.place(key) / mesh if mesh else None)
+        return Result(design, tuple(_from_row(check) for check in json.loads(checks)), json.loads(provenance))
+
+
+def _as_row(check: Check) -> list[Any]:
+    value = None if check.value != check.value else check.value  # JSON knows no NaN
+    return [check.name, value, check.sense, check.limit, check.unit, check.needs, check.note]
+
+
+def _from_row(row: list[Any]) -> Check:
+    name, value, *rest = row
+    return Check(name, float("nan") if value is None else value, *rest)
+
+
+def passport(result: Result, bank: Bank) -> dict[str, Any]:
+    """All that is known of a design, as plain JSON: what was asked, what came, the evidence, where it comes from."""
+    design = result.design
+    return {
+        "accepted": result.accepted,
+        "target": dict(design.target),
+        "status": design.mix.status,
+        "message": design.mix.message,
+        "predicted": {
+            q.name: {"value": float(v), "unit": q.unit} for q, v in zip(bank.space, design.predicted, strict=True)
+        },
+        "checks": [
+            {
+                "name": check.name,
+                "value": check.value if np.isfinite(check.value) else None,
+                "sense": check.sense,
+                "limit": check.limit,
+                "unit": check.unit,
+                "passed": check.passed,
+                "needs": check.needs,
+                "note": check.note,
+            }
+            for check in result.checks
+        ],
+        "alpha": {name: float(a) for name, a in zip(bank.names, design.mix.alpha, strict=True)},
+        "unit": bank.frame.unit,
+        "provenance": dict(result.provenance),
+    }
+
+
+def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
+    """Write `mesh` to `path` in one step; the format is told by the suffix.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown or the place cannot be written.
+    """
+    path = Path(path)
+    form = path.suffix.lower().lstrip(".")
+    if form not in ("stl", "obj", "ply", "glb"):
+        raise InputError(f"{path}: expected a file name ending in .stl, .obj, .ply or .glb")
+    aside = path.with_name(path.name + ".writing")
+    try:
+        mesh.export(aside, file_type=form)
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
+    finally:
+        aside.unlink(missing_ok=True)
+    return path
+
+
+def _replace(path: Path, text: str) -> None:
+    aside = path.with_name(path.name + ".writing")
+    aside.write_text(text, encoding="utf-8")
+    os.replace(aside, path)

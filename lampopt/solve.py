@@ -1,0 +1,181 @@
+"""Bank + what is asked → Problem → solver → Mix (paper, equation (1)).
+
+Every name that can be asked for is a column over the exemplars: a parameter, a label, a declared measured value. Each
+is normalised to [-1, 1] over the bank, so that rows weigh alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampopt.errors import StudyError
+from lampopt.protocols import Solver
+from lampopt.types import Array, Bank, Conflict, Mix, Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One name that can be asked for: its `values` (N,) over the exemplars (NaN = unknown) and its `unit`."""
+
+    name: str
+    unit: str
+    values: Array
+
+    @property
+    def low(self) -> float:
+        """Least known value."""
+        return float(np.nanmin(self.values))
+
+    @property
+    def spread(self) -> float:
+        """Range of the known values."""
+        return float(np.nanmax(self.values)) - self.low
+
+    def normalised(self, value: Array | float) -> Array:
+        """`value` on [-1, 1] over the bank."""
+        return np.asarray(2 * (np.asarray(value) - self.low) / self.spread - 1)
+
+
+def columns(bank: Bank) -> dict[str, Column]:
+    """Everything that can be asked of `bank`, by name: parameters, labels, then declared measured values."""
+    found = {q.name: Column(q.name, q.unit, v) for q, v in zip(bank.space, bank.parameters.T, strict=True)}
+    found |= {q.name: Column(q.name, q.unit, v) for q, v in zip(bank.label_space, bank.labels.T, strict=True)}
+    for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
+        found[address] = Column(address, found[parameter].unit, values)
+    return found
+
+
+def column(bank: Bank, name: str) -> Column:
+    """The column called `name`.
+
+    Raises
+    ------
+    StudyError
+        If there is none, or all exemplars agree in it, so that no mix can move it.
+    """
+    known = columns(bank)
+    if name not in known:
+        raise StudyError(f"{name!r}: neither a parameter, a label nor a measured value; known are {', '.join(known)}")
+    found = known[name]
+    if np.isnan(found.values).all():
+        raise StudyError(f"{name!r}: no exemplar of this bank has a value for it")
+    if found.spread == 0:
+        raise StudyError(f"{name!r}: all exemplars have {found.low:g} {found.unit}: no mix can change it")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A problem over the exemplars that can take part (`active`), and the way back to the user's terms."""
+
+    problem: Problem
+    active: Array
+    rows: tuple[Column, ...]
+    size: int
+
+    def normalised(self, targets: Array) -> Array:
+        """Targets (B, k) in the user's units → normalised rows."""
+        return np.stack([row.normalised(targets[:, i]) for i, row in enumerate(self.rows)], 1)
+
+    def spread_out(self, alpha: Array) -> Array:
+        """Coefficients (..., active) → (..., N), 0 for exemplars that take no part."""
+        full = np.zeros((*alpha.shape[:-1], self.size))
+        full[..., self.active] = alpha
+        return full
+
+    def centre(self) -> Array:
+        """The centre (N,)."""
+        return self.spread_out(self.problem.centre)
+
+
+def pose(
+    bank: Bank,
+    targets: Mapping[str, float],
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    hard: Sequence[str] = (),
+    reference: str | None = None,
+) -> Posed:
+    """The problem that asks `targets` of `bank`.
+
+    Parameters
+    ----------
+    targets
+        Wanted values by name, in the units of `columns`.
+    ranges
+        Names to be kept between two values.
+    hard
+        Targets that must be met exactly.
+    reference
+        The exemplar to stay near; None: the mean of all.
+
+    Raises
+    ------
+    StudyError
+        If a name is unknown or cannot be moved, the reference is unknown or lacks a label that is asked for.
+    """
+    ranges = dict(ranges or {})
+    rows = tuple(column(bank, name) for name in targets)
+    limits = tuple(column(bank, name) for name in ranges)
+    known = (
+        np.all([~np.isnan(c.values) for c in (*rows, *limits)], axis=0) if rows or limits else np.ones(len(bank), bool)
+    )
+    active = np.flatnonzero(known)
+    if not len(active):
+        raise StudyError(f"no exemplar has all of {', '.join(c.name for c in (*rows, *limits))}")
+    for low, high in ranges.values():
+        if not low <= high:
+            raise StudyError(f"ranges: expected low ≤ high, got {low:g} to {high:g}")
+    problem = Problem(
+        names=tuple(c.name for c in rows),
+        matrix=_matrix(rows, active),
+        target=np.array([float(c.normalised(targets[c.name])) for c in rows]),
+        hard=np.array([c.name in hard for c in rows], bool),
+        range_names=tuple(f"{c.name} (range)" for c in limits),
+        range_matrix=_matrix(limits, active),
+        range_low=np.array([float(c.normalised(ranges[c.name][0])) for c in limits]),
+        range_high=np.array([float(c.normalised(ranges[c.name][1])) for c in limits]),
+        centre=_centre(bank, active, reference),
+    )
+    return Posed(problem, active, rows, len(bank))
+
+
+def _matrix(rows: Sequence[Column], active: Array) -> Array:
+    return np.array([c.normalised(c.values[active]) for c in rows]).reshape(len(rows), len(active))
+
+
+def _centre(bank: Bank, active: Array, reference: str | None) -> Array:
+    if reference is None:
+        return np.full(len(active), 1 / len(active))
+    if reference not in bank.names:
+        raise StudyError(f"reference {reference!r}: no exemplar of this bank; there are {', '.join(bank.names)}")
+    centre = (active == bank.names.index(reference)).astype(float)
+    if not centre.any():
+        raise StudyError(f"reference {reference!r}: lacks a label that the study asks for; choose another")
+    return np.asarray(centre)
+
+
+def solve(posed: Posed, solver: Solver) -> Mix:
+    """The mix over all N exemplars, its message and conflicts in the user's units."""
+    mix = solver.solve(posed.problem)
+    return Mix(posed.spread_out(mix.alpha), mix.residual, mix.status, explain(posed, mix), mix.conflicts)
+
+
+def explain(posed: Posed, mix: Mix) -> str:
+    """The status in plain words: for a conflict, the nearest values that the rows can have together."""
+    if not mix.conflicts:
+        return mix.message
+    return "; ".join([mix.message, *(_nearest(posed, conflict) for conflict in mix.conflicts)])
+
+
+def _nearest(posed: Posed, conflict: Conflict) -> str:
+    said = []
+    for name, amount in zip(conflict.names, conflict.amounts, strict=True):
+        i = posed.problem.names.index(name)
+        row = posed.rows[i]
+        asked, step = (posed.problem.target[i] + 1) / 2 * row.spread + row.low, amount / 2 * row.spread
+        said.append(f"{name} {asked:.6g} → {asked + step:.6g} {row.unit}".rstrip())
+    return f"{', '.join(said)} would agree"

@@ -1,0 +1,278 @@
+"""What is asked: the same thing as a Python object and as TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from lampopt.errors import InputError, StudyError
+from lampopt.lamp import load_bank
+from lampopt.solve import column
+from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
+from lampopt.units import number
+
+Value = float | str
+FORMATS = ("stl", "obj", "ply", "glb")
+
+
+@dataclass(frozen=True)
+class Reduce:
+    """A target below the reference's value: ``Reduce("drag", by=0.10)`` asks for 0.9 of it."""
+
+    name: str
+    by: float
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.by, int | float) and -10 < self.by < 1):
+            raise StudyError(
+                f"Reduce({self.name!r}): expected `by` as a fraction below 1, such as 0.10, got {self.by!r}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """One question to a bank.
+
+    Parameters
+    ----------
+    bank
+        The bank, or the path of its `.lamp` file.
+    targets
+        Wanted values by name: numbers in the bank's units, or text with a unit ("1420 mm").
+    keep
+        Names held at the reference's values, at the bank's mean where there is no reference.
+    reference
+        The exemplar to stay near: "this car, roof lower".
+    ranges
+        Names to be kept between two values.
+    hard
+        Targets that must be met exactly, whatever it costs the others.
+    objective
+        Reduce(...) of a label; needs a reference.
+    solver
+        Name or Spec.
+    measures
+        Measures to report beside the checks.
+    checks
+        Checks by plugins, by name.
+    limits
+        Limits that replace the bank's and the defaults.
+    level
+        Where to stop: judge by "alpha", by "field" or by "mesh".
+    resolution
+        Cells along the decoder's box.
+    sweep
+        Values by name for `lampopt.sweep`.
+    format
+        Of the meshes written: stl, obj, ply, glb.
+    requires
+        Plugins that must be installed.
+    seed
+        For whatever draws.
+    """
+
+    bank: Bank | Path | str
+    targets: Mapping[str, Value] = field(default_factory=dict)
+    keep: tuple[str, ...] = ()
+    reference: str | None = None
+    ranges: Mapping[str, tuple[Value, Value]] = field(default_factory=dict)
+    hard: tuple[str, ...] = ()
+    objective: Reduce | None = None
+    solver: str | Spec = "kkt"
+    measures: tuple[str, ...] = ()
+    checks: tuple[str, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+    level: Needs = "mesh"
+    resolution: int = 128
+    sweep: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
+    format: str = "stl"
+    requires: tuple[str, ...] = ()
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.bank, Bank | Path | str):
+            raise StudyError(f"bank: expected a Bank or the path of a .lamp file, got {self.bank!r}")
+        for name in ("keep", "hard", "measures", "checks", "requires"):
+            _assign(self, name, _names(getattr(self, name), name))
+        for name in ("targets", "limits"):
+            _assign(self, name, _table(getattr(self, name), name))
+        for name in ("ranges", "sweep"):
+            value = {key: _values(v, f"{name}: {key}") for key, v in _table(getattr(self, name), name).items()}
+            _assign(self, name, MappingProxyType(value))
+        _assign(self, "solver", Spec.of(self.solver))
+        for key, pair in self.ranges.items():
+            if len(pair) != 2:
+                raise StudyError(f"ranges: {key}: expected a low and a high value, got {len(pair)} values")
+        if self.level not in LEVELS:
+            raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {self.level!r}")
+        if self.format not in FORMATS:
+            raise StudyError(f"format: expected one of {', '.join(FORMATS)}, got {self.format!r}")
+        if (
+            isinstance(self.resolution, bool)
+            or not isinstance(self.resolution, int)
+            or not 4 <= self.resolution <= 4096
+        ):
+            raise StudyError(f"resolution: expected a whole number from 4 to 4096, got {self.resolution!r}")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise StudyError(f"seed: expected a whole number of at least 0, got {self.seed!r}")
+        for key, limit in self.limits.items():
+            if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < float("inf"):
+                raise StudyError(f"limits: {key}: expected a finite number of at least 0, got {limit!r}")
+        asked = [*self.targets, *self.keep, *([self.objective.name] if self.objective else [])]
+        for name in asked:
+            if asked.count(name) > 1 or name in self.ranges:
+                raise StudyError(f"{name!r} is asked for twice: name it in one of targets, keep, ranges and objective")
+        if self.objective is not None and self.reference is None:
+            raise StudyError(f"objective: {self.objective} needs a reference; name an exemplar")
+        if unknown := sorted(set(self.hard) - set(asked)):
+            raise StudyError(f"hard: {unknown} are not asked for; asked for are {asked}")
+
+    def opened(self) -> Bank:
+        """The bank, loaded if the study names a file."""
+        return self.bank if isinstance(self.bank, Bank) else load_bank(self.bank)
+
+    def asked(self, bank: Bank) -> dict[str, float]:
+        """Every wanted value by name, in the bank's units: targets, then keeps, then the objective."""
+        wanted = {name: self.value(bank, name, value) for name, value in self.targets.items()}
+        for name in self.keep:
+            wanted[name] = _at_reference(bank, name, self.reference)
+        if self.objective is not None:
+            wanted[self.objective.name] = (1 - self.objective.by) * _at_reference(
+                bank, self.objective.name, self.reference
+            )
+        return wanted
+
+    def bounds(self, bank: Bank) -> dict[str, tuple[float, float]]:
+        """The ranges in the bank's units."""
+        return {
+            name: (self.value(bank, name, low), self.value(bank, name, high))
+            for name, (low, high) in self.ranges.items()
+        }
+
+    def value(self, bank: Bank, name: str, value: Value) -> float:
+        """One value of `name` in the bank's unit."""
+        return number(value, column(bank, name).unit, name)
+
+    def to_toml(self) -> str:
+        """The study as TOML; `from_toml` gives it back.
+
+        Raises
+        ------
+        StudyError
+            If its bank is in no file.
+        """
+        import tomli_w
+
+        path = self.bank.path if isinstance(self.bank, Bank) else self.bank
+        if path is None:
+            raise StudyError("bank: is in no file, so TOML cannot name it: build it with store=, or use store_bank")
+        document: dict[str, Any] = {"bank": str(path)}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name in ("bank", "objective") or value is None or value == () or value == {}:
+                continue
+            if isinstance(value, Spec):
+                document[item.name] = {"name": value.name, **value.options}
+            elif isinstance(value, Mapping):
+                document[item.name] = {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()}
+            else:
+                document[item.name] = list(value) if isinstance(value, tuple) else value
+        if self.objective is not None:
+            document["objective"] = {"reduce": self.objective.name, "by": self.objective.by}
+        return tomli_w.dumps(document)
+
+    @classmethod
+    def from_toml(cls, text: str, *, folder: Path | None = None) -> Study:
+        """A study from TOML text; a relative bank path is taken from `folder`.
+
+        Raises
+        ------
+        StudyError
+            If the text is no TOML, or says what no study has.
+        """
+        try:
+            document = tomllib.loads(text)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            raise StudyError(f"study: not valid TOML: {error}") from error
+        known = {item.name for item in fields(cls)}
+        if unknown := sorted(set(document) - known):
+            raise StudyError(f"study: unknown entries {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        if not isinstance(document.get("bank"), str):
+            raise StudyError("study: expected an entry `bank` with the path of a .lamp file")
+        document["bank"] = (folder or Path()) / document["bank"]
+        if isinstance(solver := document.get("solver"), dict):
+            document["solver"] = _spec(solver)
+        if "objective" in document:
+            document["objective"] = _objective(document["objective"])
+        return cls(**document)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Study:
+        """The study in a TOML file; a relative bank path is taken from beside it."""
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise StudyError(f"{path}: cannot be read as a study: {error}") from error
+        return cls.from_toml(text, folder=path.parent)
+
+
+def _assign(study: Study, name: str, value: object) -> None:
+    object.__setattr__(study, name, value)
+
+
+def _names(value: object, what: str) -> tuple[str, ...]:
+    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
+        raise StudyError(f"{what}: expected a list of names, got {value!r}")
+    return tuple(value)
+
+
+def _table(value: object, what: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping) or not all(isinstance(k, str) for k in value):
+        raise StudyError(f"{what}: expected a table of names and values, got {value!r}")
+    return MappingProxyType(dict(value))
+
+
+def _values(value: object, what: str) -> tuple[Value, ...]:
+    try:
+        found: tuple[Value, ...] = tuple(value)  # type: ignore[arg-type]  # any iterable of numbers or text will do, a numpy array too
+    except TypeError as error:
+        raise StudyError(f"{what}: expected a list of values, got {value!r}") from error
+    if isinstance(value, str) or not found:
+        raise StudyError(f"{what}: expected a list of values, got {value!r}")
+    return tuple(v if isinstance(v, str) else float(v) for v in found)
+
+
+def _spec(table: Mapping[str, Scalar]) -> Spec:
+    options = dict(table)
+    name = options.pop("name", None)
+    if not isinstance(name, str):
+        raise StudyError(f"solver: expected a name, or a table with an entry `name`, got {dict(table)!r}")
+    try:
+        return Spec(name, **options)
+    except InputError as error:
+        raise StudyError(f"solver: {error}") from error
+
+
+def _objective(table: object) -> Reduce:
+    if not isinstance(table, Mapping) or set(table) != {"reduce", "by"} or not isinstance(table["reduce"], str):
+        raise StudyError(f"objective: expected {{ reduce = NAME, by = FRACTION }}, got {table!r}")
+    return Reduce(table["reduce"], table["by"])
+
+
+def _at_reference(bank: Bank, name: str, reference: str | None) -> float:
+    found = column(bank, name)
+    if reference is None:
+        import numpy as np
+
+        return float(np.nanmean(found.values))
+    if reference not in bank.names:
+        raise StudyError(f"reference {reference!r}: no exemplar of this bank; there are {', '.join(bank.names)}")
+    value = float(found.values[bank.names.index(reference)])
+    if value != value:
+        raise StudyError(f"{name!r}: the reference {reference!r} has no value for it; choose another")
+    return value

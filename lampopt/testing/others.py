@@ -1,0 +1,206 @@
+"""What a model, a source and a checker have to do."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, get_args
+
+import numpy as np
+
+from lampopt.protocols import Checker, Model, Source
+from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, require
+from lampopt.testing.measures import check_units_can_be_read
+from lampopt.types import Array, Exemplars, Needs
+
+FEW = 4  # exemplars whose meshes are loaded
+STEP = 1e-4  # relative, for differences
+FITS = 0.02  # of a mesh's diagonal
+
+
+def parameters(model: Any) -> Array:
+    """(B, d) parameters to ask a model about: its own `example_parameters()`, else a few around 1."""
+    if hasattr(model, "example_parameters"):
+        return np.asarray(model.example_parameters(), float)
+    return np.random.default_rng(4).uniform(0.5, 1.5, (5, len(model.inputs)))
+
+
+def check_model_protocol(model: Any) -> None:
+    """Labels and inputs are found by name, and compared by unit."""
+    require(model, Model)
+    for what in ("names", "inputs"):
+        names = getattr(model, what)
+        good = isinstance(names, tuple) and all(isinstance(n, str) and n for n in names)
+        expect(good and len(set(names)) == len(names) > 0, f"{what}: expected distinct texts, got {names!r}")
+    good = isinstance(model.units, tuple) and len(model.units) == len(model.names)
+    expect(good, f"units: expected {len(model.names)} texts, got {model.units!r}")
+
+
+def check_model_shapes(model: Any) -> None:
+    """Sweeps ask for many designs at once, or for none: (B, d) in, finite (B, p) and (B, p, d) out."""
+    p, d = len(model.names), len(model.inputs)
+    for given in (parameters(model), parameters(model)[:0]):
+        b = len(given)
+        for what, found, wanted in (("labels", model(given), (b, p)), ("gradient", model.gradient(given), (b, p, d))):
+            expect(np.shape(found) == wanted, f"{what}: expected shape {wanted}, got {np.shape(found)}")
+            expect(np.isfinite(found).all(), f"{what}: expected finite values")
+
+
+def check_model_rows_are_independent(model: Any) -> None:
+    """A design's labels must not depend on which others are asked about with it."""
+    given = parameters(model)
+    alone = np.concatenate([model(row[None]) for row in given])
+    together = np.asarray(model(given))
+    expect(np.allclose(alone, together, rtol=1e-6, atol=1e-9), "rows one by one and together differ")
+
+
+def check_model_is_deterministic(model: Any) -> None:
+    """A prediction that is made again has to be the same prediction."""
+    given = parameters(model)
+    first = np.array(model(given))
+    model(1.01 * given)
+    expect(np.array_equal(first, model(given)), "a, b, a gives two answers for a")
+
+
+def check_model_gradient_agrees_with_differences(model: Any) -> None:
+    """A solver follows this gradient to the optimum, or away from it."""
+    given = parameters(model)
+    slopes = []
+    for column in range(given.shape[1]):
+        step = np.zeros_like(given)
+        step[:, column] = STEP * np.maximum(np.abs(given[:, column]), 1e-3)
+        span = (given + step)[:, column] - (given - step)[:, column]
+        slopes.append((np.asarray(model(given + step)) - np.asarray(model(given - step))) / span[:, None])
+    wanted, found = np.stack(slopes, -1), np.asarray(model.gradient(given))
+    scale = np.abs(wanted).max(axis=0, keepdims=True)
+    apart = np.abs(found - wanted) / np.maximum(scale, 1e-9)
+    expect((apart < 0.01).all(), f"gradient is {apart.max():.1%} of the steepest slope from central differences")
+
+
+def check_model_parameters_are_left(model: Any) -> None:
+    """The caller goes on with the parameters it gave."""
+    given = parameters(model)
+    kept = given.copy()
+    model(given)
+    model.gradient(given)
+    expect(np.array_equal(given, kept), "the model changed the parameters it was given")
+
+
+MODEL_CHECKS: tuple[CheckFunction, ...] = (
+    check_model_protocol,
+    *COMMON,
+    check_units_can_be_read,
+    check_model_shapes,
+    check_model_rows_are_independent,
+    check_model_is_deterministic,
+    check_model_gradient_agrees_with_differences,
+    check_model_parameters_are_left,
+)
+
+
+def _few(exemplars: Exemplars) -> list[int]:
+    return sorted({round(i) for i in np.linspace(0, len(exemplars) - 1, FEW)})
+
+
+def _same(a: Any, b: Any) -> bool:
+    return np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
+
+
+def check_source_protocol(source: Any) -> None:
+    """A bank is built from exemplars, wherever they come from."""
+    require(source, Source)
+    found = source()
+    expect(isinstance(found, Exemplars), f"expected Exemplars, got {type(found).__name__}")
+
+
+def check_source_repeats_itself(source: Any) -> None:
+    """A build that is resumed asks again and has to meet the same exemplars."""
+    first, second = source(), source()
+    for what in ("names", "space", "label_space", "unit"):
+        a, b = getattr(first, what), getattr(second, what)
+        expect(a == b, f"two calls give {what} {a} and {b}")
+    expect(np.array_equal(first.parameters, second.parameters), "two calls give other parameters")
+    expect(np.array_equal(first.labels, second.labels, equal_nan=True), "two calls give other labels")
+    for i in _few(first):
+        expect(_same(first.meshes[i], second.meshes[i]), f"two calls give other meshes of {first.names[i]!r}")
+
+
+def check_source_meshes_load(source: Any) -> None:
+    """A mesh that cannot be used is cheaper to meet here than after an hour of fitting."""
+    found = source()
+    for i in _few(found):
+        mesh, name = found.meshes[i], found.names[i]
+        expect(len(mesh.faces) > 0, f"mesh of {name!r}: expected faces, got none")
+        expect(np.isfinite(mesh.vertices).all(), f"mesh of {name!r}: expected finite vertices")
+
+
+def check_source_meshes_are_closed(source: Any) -> None:
+    """Inside and outside are certain on closed meshes only; a source of open ones says so with `watertight = False`."""
+    if not getattr(source, "watertight", True):
+        raise NotApplicable("the source says that its meshes are open")
+    found = source()
+    for i in _few(found):
+        expect(found.meshes[i].is_watertight, f"mesh of {found.names[i]!r} is open and the source does not say so")
+
+
+def check_source_meshes_can_be_read_twice(source: Any) -> None:
+    """Fitting, measuring and hashing each read an exemplar, in any order, and have to see one mesh."""
+    found = source()
+    few = _few(found)
+    first = [(np.array(found.meshes[i].vertices), np.array(found.meshes[i].faces)) for i in few]
+    for (vertices, faces), i in zip(reversed(first), reversed(few), strict=True):
+        mesh = found.meshes[i]
+        same = np.array_equal(vertices, mesh.vertices) and np.array_equal(faces, mesh.faces)
+        expect(same, f"mesh of {found.names[i]!r} differs when it is read again")
+
+
+def check_source_meshes_end(source: Any) -> None:
+    """Iterating over a sequence stops at IndexError; without it a loop never ends or ends in a crash."""
+    found = source()
+    try:
+        found.meshes[len(found)]
+    except IndexError:
+        return
+    expect(False, f"meshes[{len(found)}] of {len(found)}: expected IndexError, got a mesh")
+
+
+def check_source_parameters_differ(source: Any) -> None:
+    """Two exemplars with the same parameters and other shapes make the mix between them meaningless."""
+    found = source()
+    order = np.lexsort(found.parameters.T) if found.parameters.shape[1] else np.arange(len(found))
+    for a, b in pairwise(order):
+        if np.array_equal(found.parameters[a], found.parameters[b]):
+            same = _same(found.meshes[a], found.meshes[b])
+            expect(same, f"{found.names[a]!r} and {found.names[b]!r} differ in shape and not in parameters")
+
+
+def check_source_mesh_at_is_the_exemplar(source: Any) -> None:
+    """Produced shapes are judged against this truth, so it has to be the truth where an exemplar shows it."""
+    found = source()
+    if found.mesh_at is None:
+        raise NotApplicable("the source knows no true meshes")
+    for i in _few(found):
+        given, true = found.meshes[i], found.mesh_at(np.array(found.parameters[i]))
+        apart = np.abs(np.asarray(true.bounds) - np.asarray(given.bounds)).max() / given.scale
+        expect(apart <= FITS, f"mesh_at the parameters of {found.names[i]!r} is {apart:.1%} of its size off")
+
+
+SOURCE_CHECKS: tuple[CheckFunction, ...] = (
+    check_source_protocol,
+    *COMMON,
+    check_source_repeats_itself,
+    check_source_meshes_load,
+    check_source_meshes_are_closed,
+    check_source_meshes_can_be_read_twice,
+    check_source_meshes_end,
+    check_source_parameters_differ,
+    check_source_mesh_at_is_the_exemplar,
+)
+
+
+def check_checker_protocol(checker: Any) -> None:
+    """Checks run in the order of what they need, so that a sweep stops before the dear ones."""
+    require(checker, Checker)
+    expect(checker.needs in get_args(Needs), f"needs: expected one of {get_args(Needs)}, got {checker.needs!r}")
+
+
+CHECKER_CHECKS: tuple[CheckFunction, ...] = (check_checker_protocol, *COMMON)

@@ -1,0 +1,138 @@
+"""CSV and Parquet files as named columns of numbers with units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from reprlib import repr as short
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types import Array
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SHOWN = 20  # problems told in one message; a table can have a million
+HEADER = re.compile(r"(?P<name>.*?)(?:\[(?P<unit>[^\[\]]*)\])?", re.DOTALL)
+NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
+EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
+
+
+def name_and_unit(header: str) -> tuple[str, str]:
+    """The parts of a header: ``"ramp [deg]"`` is ``("ramp", "deg")``; without brackets the unit is ""."""
+    found = HEADER.fullmatch(header.strip())
+    if found is None:  # the pattern takes any text; this is for the type checker
+        return header.strip(), ""
+    return found["name"].strip(), (found["unit"] or "").strip()
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column: what its header says and what its cells hold."""
+
+    name: str
+    unit: str
+    cells: pa.ChunkedArray
+    values: Array | None  # (N,) NaN where empty or not a number; None where the type has no numbers (dates, lists)
+    empty: Array  # (N,) which cells are empty
+
+    @property
+    def numeric(self) -> bool:
+        """Whether this is a column of numbers: its header has a unit, or half of its filled cells are numbers.
+
+        Not all of them: a slip in one cell is to be reported, not to drop the column in silence.
+        """
+        if self.values is None:
+            return False
+        numbers, filled = int((~np.isnan(self.values)).sum()), int((~self.empty).sum())
+        return bool(self.unit) or (numbers > 0 and 2 * numbers >= filled)
+
+    def problems(self, *, gaps: bool) -> Iterator[str]:
+        """What is wrong with the cells, row by row (counted from 1 below the header); `gaps` allows empty ones."""
+        if self.values is None:
+            yield f"column {self.name!r}: expected numbers, got {self.cells.type}"
+            return
+        bad = ~np.isfinite(self.values) & ~(self.empty & gaps)
+        for row in np.flatnonzero(bad):
+            got = "an empty cell" if self.empty[row] else short(self.cells[int(row)].as_py())
+            yield f"row {row + 1}, column {self.name!r}: expected a number, got {got}"
+
+
+def read(path: Path) -> pa.Table:
+    """The table in a CSV or Parquet file; CSV cells as text, since a type guessed from the first rows may not last.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another kind, or cannot be read.
+    """
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise InputError(f"table {path}: expected a .csv or .parquet file, got suffix {path.suffix!r}")
+    if not path.is_file():
+        raise InputError(f"table {path}: no such file; a relative path starts at {Path.cwd()}")
+    try:
+        if suffix == ".parquet":
+            return parquet.read_table(path, partitioning=None)
+        with csv.open_csv(path) as reader:
+            headers = reader.schema.names
+        return csv.read_csv(path, convert_options=csv.ConvertOptions(column_types=dict.fromkeys(headers, pa.string())))
+    except (pa.ArrowException, ValueError, OSError) as error:
+        raise InputError(f"table {path}: cannot be read (CSV: UTF-8 text, commas, one header line): {error}") from error
+
+
+def columns(table: pa.Table, path: Path) -> dict[str, Column]:
+    """The columns by name; those without one (a data frame's index) are left out.
+
+    Raises
+    ------
+    InputError
+        If two columns have one name.
+    """
+    found: dict[str, Column] = {}
+    for header, cells in zip(table.column_names, table.columns, strict=True):
+        name, unit = name_and_unit(header)
+        if not name or name.startswith("__index_level_"):
+            continue
+        if name in found:
+            raise InputError(f"table {path}: expected distinct column names, got {name!r} twice")
+        found[name] = Column(name, unit, cells, *_values(cells))
+    return found
+
+
+def _values(cells: pa.ChunkedArray) -> tuple[Array | None, Array]:
+    """The cells as numbers (None where the type has none), and which are empty."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    kind = cells.type
+    if pa.types.is_dictionary(kind):
+        cells, kind = cells.cast(kind.value_type), kind.value_type
+    if pa.types.is_null(kind):
+        return np.full(len(cells), np.nan), np.ones(len(cells), bool)
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        values = np.array(compute.fill_null(cells.cast(pa.float64(), safe=False), np.nan).to_numpy())
+        return values, np.isnan(values)
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return None, np.array(cells.is_null().to_numpy())
+    text = compute.utf8_trim_whitespace(cells.cast(pa.large_string()))
+    empty = compute.fill_null(compute.is_in(compute.utf8_lower(text), pa.array(EMPTY, pa.large_string())), True)
+    empty = compute.or_(empty, text.is_null())
+    number = compute.fill_null(compute.match_substring_regex(text, NUMBER), False)
+    numbers = compute.if_else(number, text, pa.scalar(None, pa.large_string())).cast(pa.float64())
+    return np.array(compute.fill_null(numbers, np.nan).to_numpy()), np.array(empty.to_numpy())
+
+
+def first(problems: Iterator[str]) -> list[str]:
+    """The problems that one message can hold, and a note that there are more."""
+    shown = list(islice(problems, SHOWN + 1))
+    return [*shown[:SHOWN], "and more"] if len(shown) > SHOWN else shown

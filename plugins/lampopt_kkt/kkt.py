@@ -1,0 +1,157 @@
+"""Equation (1) of the paper in closed form, with row weights, hard rows, ridge and centre.
+
+Write alpha = centre + beta with 1ᵀbeta = 0, and centre every row of the matrix: M̃ = M − M11ᵀ/N. The sum-to-one
+constraint is then gone, and what is left has the size of the rows, not of the bank:
+
+    hard rows first:   beta₀ = H̃⁺ (t_H − H centre),
+    then the others:   min ‖V½ (M̃ (beta₀ + γ) − r)‖² + ridge ‖γ‖²,   γ in the null space of H̃,
+
+both by one singular value decomposition of a (k, N) matrix. Each target after that costs a matrix product, so
+thousands are one call. Least norm where rows leave freedom (Moore-Penrose).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import null_space
+from threadpoolctl import threadpool_limits
+
+from lampopt.errors import InputError, SolveError
+from lampopt.types import Array, Conflict, Mix, MixBatch, Problem, Status
+
+RANK = 1e-10  # singular values below this part of the largest count as zero
+MET = 1e-8  # a row met to this [normalised] is met
+
+
+@dataclass(frozen=True)
+class KKT:
+    """Closed form: targets (hard or weighted), ridge and centre in the 2-norm. No ranges, bounds or objectives.
+
+    Parameters
+    ----------
+    ridge
+        Weight of ‖alpha − centre‖² where the problem names none (paper, appendix P).
+    """
+
+    ridge: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.ridge) and self.ridge >= 0):
+            raise InputError(f"ridge: expected a number of at least 0, got {self.ridge}")
+
+    def solve(self, problem: Problem) -> Mix:
+        """The mix for one problem; contradictions come back as conflicts with the nearest alpha."""
+        batch = self.solve_many(problem, problem.target[None])
+        status = batch.status[0]
+        conflicts = _conflicts(problem) if status == "infeasible" else ()
+        return Mix(
+            batch.alpha[0], batch.residual[0], status, _message(problem, batch.residual[0], conflicts), conflicts
+        )
+
+    def solve_many(self, problem: Problem, targets: Array, ridges: Array | None = None) -> MixBatch:
+        """The mixes for targets (B, k), from one decomposition for all of them and all ridges (B,)."""
+        _refuse(problem)
+        targets = np.asarray(targets, float)
+        k = len(problem.names)
+        if targets.ndim != 2 or targets.shape[1] != k or not np.isfinite(targets).all():
+            raise InputError(f"targets: expected finite values of shape (B, {k}), got shape {targets.shape}")
+        ridge = self.ridge if problem.ridge is None else problem.ridge
+        each = np.full(len(targets), ridge) if ridges is None else np.asarray(ridges, float)
+        if each.shape != (len(targets),) or not (np.isfinite(each) & (each >= 0)).all():
+            raise InputError(f"ridges: expected {len(targets)} numbers of at least 0, got {ridges!r}")
+        with threadpool_limits(1, "blas"):  # matrices this small lose orders of magnitude to threads
+            return _solve(problem, targets, each)
+
+
+def _refuse(problem: Problem) -> None:
+    lacking = [
+        name
+        for name, asked in (
+            ("ranges", len(problem.range_names)),
+            ("bounds on alpha", problem.alpha_low is not None or problem.alpha_high is not None),
+            ("norm=1", problem.norm != 2),
+            ("objectives", len(problem.objectives)),
+            ("constraints", len(problem.constraints)),
+        )
+        if asked
+    ]
+    if lacking:
+        raise SolveError(
+            f"solver 'kkt' is not able to take {', '.join(lacking)}: leave that out, or choose a solver that is able to"
+        )
+
+
+def _decompose(matrix: Array) -> tuple[Array, Array, Array]:
+    """Thin singular value decomposition without what counts as zero: u (k, r), s (r,), vᵀ (r, N)."""
+    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    keep = s > RANK * max(s.max(initial=0.0), 1e-300) if len(s) else np.zeros(0, bool)
+    return u[:, keep], s[keep], vt[keep]
+
+
+def _solve(problem: Problem, targets: Array, ridges: Array) -> MixBatch:
+    centred = problem.matrix - problem.matrix.mean(1, keepdims=True)
+    gap = targets - problem.matrix @ problem.centre  # (B, k)
+    hard, root = problem.hard, np.sqrt(problem.weight[~problem.hard])
+    u, s, vt = _decompose(centred[hard])
+    beta = (gap[:, hard] @ u / s) @ vt
+    soft = centred[~hard] - centred[~hard] @ vt.T @ vt  # what moves without moving a hard row
+    u, s, vt = _decompose(root[:, None] * soft)
+    # noise of the projection must not pass for a direction that is free to move
+    real = s > RANK * np.linalg.norm(root[:, None] * centred[~hard]) if len(s) else np.zeros(0, bool)
+    u, s, vt = u[:, real], s[real], vt[real]
+    rest = (gap[:, ~hard] - beta @ centred[~hard].T) * root
+    beta = beta + (rest @ u * (s / (s**2 + ridges[:, None]))) @ vt
+    alpha = problem.centre + beta
+    alpha += (1 - alpha.sum(1, keepdims=True)) / alpha.shape[1]
+    residual = alpha @ problem.matrix.T - targets
+    left = null_space(centred.T, rcond=RANK) if len(centred) else np.zeros((0, 0))
+    scale = 1 + np.abs(targets).max(1, initial=0.0)
+    clash = np.abs(gap @ left).max(1, initial=0.0) > MET * scale
+    missed = np.abs(residual).max(1, initial=0.0) > MET * scale
+    status: tuple[Status, ...] = tuple(
+        "infeasible" if c else "inexact" if m else "exact" for c, m in zip(clash, missed, strict=True)
+    )
+    return MixBatch(alpha, residual, status)
+
+
+def _conflicts(problem: Problem) -> tuple[Conflict, ...]:
+    """Sets of rows that contradict each other: the left null vectors of the centred matrix, each as sparse as can be.
+
+    A vector n with nᵀM̃ = 0 demands nᵀ(target − M centre) = 0. In reduced echelon form each vector names few rows.
+    """
+    centred = problem.matrix - problem.matrix.mean(1, keepdims=True)
+    gap = problem.target - problem.matrix @ problem.centre
+    found = []
+    for vector in _echelon(null_space(centred.T, rcond=RANK).T):
+        size = np.abs(vector).max()
+        rows = np.flatnonzero(np.abs(vector) > 1e-6 * size)
+        amount = -(vector[rows] @ gap[rows]) / (vector[rows] @ vector[rows]) * vector[rows]
+        if np.abs(amount).max() > MET * (1 + np.abs(problem.target).max()):
+            found.append(Conflict(tuple(problem.names[i] for i in rows), amount))
+    return tuple(found)
+
+
+def _echelon(basis: Array) -> Array:
+    """Reduced row echelon form of `basis` (q, k), pivots by size."""
+    basis = basis.copy()
+    for row in range(len(basis)):
+        rest = np.abs(basis[row:])
+        i, column = (int(j) for j in np.unravel_index(rest.argmax(), rest.shape))
+        basis[[row, row + i]] = basis[[row + i, row]]
+        basis[row] /= basis[row, column]
+        for other in range(len(basis)):
+            if other != row:
+                basis[other] -= basis[other, column] * basis[row]
+    return basis
+
+
+def _message(problem: Problem, residual: Array, conflicts: tuple[Conflict, ...]) -> str:
+    if conflicts:
+        sets = "; ".join(" + ".join(c.names) if len(c.names) > 1 else f"{c.names[0]} cannot move" for c in conflicts)
+        return f"no mix of these exemplars meets all targets: {sets} contradict each other; the nearest is returned"
+    if len(residual) and np.abs(residual).max() > MET * (1 + np.abs(problem.target).max()):
+        worst = int(np.abs(residual).argmax())
+        return f"targets could be met, but ridge or weights hold {problem.names[worst]} off by {residual[worst]:+.3g}"
+    return "every target is met"

@@ -1,0 +1,145 @@
+"""Sizes and topology of any mesh: extents, volume, area, bodies and genus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from lampopt.errors import EmptyMesh, MeasureError
+from lampopt.types import Array
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
+def with_faces(mesh: Trimesh) -> Trimesh:
+    """`mesh` itself, if it has faces and finite vertices.
+
+    Raises
+    ------
+    EmptyMesh
+        If it has no faces.
+    MeasureError
+        If a vertex is not finite.
+    """
+    if len(mesh.faces) == 0:
+        raise EmptyMesh("expected a mesh with faces, got one without")
+    if not np.isfinite(mesh.vertices).all():
+        count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
+        raise MeasureError(f"expected finite vertices, got {count} that are not")
+    return mesh
+
+
+def merged(mesh: Trimesh) -> Trimesh:
+    """A copy of `mesh` with coinciding vertices joined, as a file of loose triangles (STL) needs it."""
+    copy = mesh.copy()
+    copy.merge_vertices(merge_tex=True, merge_norm=True)
+    corners = copy.faces
+    copy.update_faces(
+        (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+    )
+    return copy
+
+
+def watertight(mesh: Trimesh) -> Trimesh:
+    """`mesh`, its coinciding vertices joined if need be, when every edge belongs to exactly two faces.
+
+    A mesh that is closed as it stands is not merged: two bodies that touch in a point stay two.
+
+    Raises
+    ------
+    EmptyMesh, MeasureError
+        If it has no faces, or is open.
+    """
+    if with_faces(mesh).is_watertight:
+        return mesh
+    closed = merged(mesh)
+    if not closed.is_watertight:
+        edges, faces = np.unique(closed.edges_sorted, axis=0, return_counts=True)
+        loose = int((faces != 2).sum())
+        raise MeasureError(
+            f"expected a closed mesh, got {loose} of {len(edges)} edges that do not belong to exactly two faces; "
+            "repair the mesh first"
+        )
+    return closed
+
+
+@dataclass(frozen=True)
+class Extents:
+    """Sizes of the axis-aligned bounding box of the faces: length along x, width along y, height along z."""
+
+    names = ("length", "width", "height")
+    units = ("L", "L", "L")
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Length, width, height (3,). Raises EmptyMesh, and MeasureError where a vertex is not finite."""
+        return np.array(with_faces(mesh).extents, float)
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Enclosed volume, by the divergence theorem over the faces."""
+
+    names = ("volume",)
+    units = ("L^3",)
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Volume (1,). Raises EmptyMesh; MeasureError where the mesh is open or its faces do not all point outward."""
+        closed = watertight(mesh)
+        if not closed.is_winding_consistent:
+            raise MeasureError("volume: expected neighbouring faces to be wound alike, got some that are not")
+        if closed.volume <= 0:
+            raise MeasureError(
+                f"volume: expected faces that point outward, got an enclosed volume of {closed.volume:.6g}; "
+                "turn the faces round (mesh.invert())"
+            )
+        return np.array([closed.volume])
+
+
+@dataclass(frozen=True)
+class Area:
+    """Area of all faces, of open meshes too."""
+
+    names = ("area",)
+    units = ("L^2",)
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Area (1,). Raises EmptyMesh, and MeasureError where a vertex is not finite."""
+        return np.array([float(with_faces(mesh).area)])
+
+
+@dataclass(frozen=True)
+class Genus:
+    """How many closed surfaces a mesh has, and how many handles (through-holes) on all of them together.
+
+    A cavity is a closed surface too and counts as a body. The genus follows from the Euler characteristic,
+    ``V - E + F = 2 (bodies - genus)``, where a vertex at which several sheets of surface touch counts once a sheet.
+    """
+
+    names = ("bodies", "genus")
+    units = ("", "")
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Bodies and genus (2,). Raises EmptyMesh, and MeasureError where the mesh is open."""
+        closed = watertight(mesh)
+        pairs, edges = closed.face_adjacency, closed.face_adjacency_edges
+        count = len(closed.faces)
+        bodies = _components(pairs[:, 0], pairs[:, 1], count)
+        # Corners (face, vertex) that share an edge at their vertex belong to one sheet: sheets are what V has to count.
+        corners = [
+            face * 3 + (closed.faces[face] == vertex[:, None]).argmax(axis=1) for vertex in edges.T for face in pairs.T
+        ]
+        sheets = _components(
+            np.concatenate([corners[0], corners[2]]), np.concatenate([corners[1], corners[3]]), 3 * count
+        )
+        characteristic = sheets - count // 2  # a closed mesh of F triangles has E = 3F/2
+        return np.array([bodies, bodies - characteristic / 2])
+
+
+def _components(start: Array, end: Array, count: int) -> int:
+    links = coo_array((np.ones(len(start), bool), (start, end)), (count, count))
+    return int(connected_components(links, directed=False, return_labels=False))

@@ -1,0 +1,286 @@
+"""More of tests/broken.py: measures, surrogates, models, sources, checkers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from broken import BROKEN, breaks, noise
+from toys import Boxes, Drag, Learned, Linear, Nothing, Size, Volume
+
+from lampopt.errors import MeasureError
+
+__all__ = ["BROKEN"]
+
+
+# measures
+
+
+@breaks("check_protocol")
+class NamesInAList(Size):
+    @property
+    def names(self):
+        return ["length", "volume", "fill"]
+
+
+@breaks("check_units_can_be_read")
+class InventsAUnit(Size):
+    units = ("L", "L^3", "blorbs")
+
+
+@breaks("check_something_is_measured")
+class MeasuresNothing(Size):
+    def __call__(self, mesh):
+        raise MeasureError("expected a teapot, got something else")
+
+
+class Measures(Size):
+    def __call__(self, mesh):
+        return super().__call__(mesh) + np.array([self.spoil(mesh), 0, 0])
+
+
+@breaks("check_place_does_not_matter")
+class MeasuresThePlace(Measures):
+    def spoil(self, mesh):
+        return np.mean(mesh.vertices[:, 0])
+
+
+@breaks("check_scale_follows_the_unit")
+class VolumeIsAnArea(Size):
+    units = ("L", "L^2", "")
+
+
+@breaks("check_measuring_is_deterministic")
+class NoisyLength(Measures):
+    def spoil(self, mesh):
+        return 1e-9 * noise()
+
+
+@breaks("check_vertex_order_does_not_matter")
+class FirstVerticesCount(Measures):
+    def spoil(self, mesh):
+        return 0.01 * np.linalg.norm(mesh.vertices[0] - mesh.vertices[1])
+
+
+@breaks("check_mesh_is_left")
+class NudgesTheMesh(Measures):
+    def spoil(self, mesh):
+        mesh.vertices = mesh.vertices + 1e-9
+        return 0.0
+
+
+@breaks("check_empty_mesh_is_refused")
+class NaNForEmpty(Size):
+    def __call__(self, mesh):
+        return super().__call__(mesh) if len(mesh.faces) else np.full(3, np.nan)
+
+
+@breaks("check_gradient_agrees_with_differences")
+class SteepGradient(Volume):
+    def gradient(self, mesh):
+        return 1.1 * super().gradient(mesh)
+
+
+@breaks("check_interval_holds_the_value")
+class NarrowerWhenSurer(Size):
+    def interval(self, mesh, level):
+        return super().interval(mesh, 1 - level)
+
+
+# surrogates, and what they learn
+
+
+@dataclass(frozen=True, eq=False)
+class HalfRemembered(Learned):
+    @classmethod
+    def from_state(cls, state):
+        again = super().from_state(state)
+        return replace(again, matrix=1.1 * again.matrix)
+
+
+class VertexReader(Learned):
+    def __call__(self, mesh):
+        return super().__call__(mesh) + 0.2 * np.linalg.norm(mesh.vertices[0] - mesh.vertices[1])
+
+
+BROKEN.append(("measure", HalfRemembered(np.eye(4, 1), ("length",), ("L",)), "check_state_gives_it_again"))
+
+
+class Learns(Linear):
+    def fit(self, meshes, values, names, units, *, seed):
+        return self.spoil(super().fit(meshes, values, names, units, seed=seed))
+
+
+@breaks("check_fit_gives_a_measure")
+class Renames(Learns):
+    def spoil(self, learned):
+        return replace(learned, names=("y",))
+
+
+@breaks("check_fit_is_deterministic")
+class UnseededLearning(Learns):
+    def spoil(self, learned):
+        return replace(learned, matrix=learned.matrix + 1e-9 * noise(4, 1))
+
+
+@breaks("check_learned_measure_ignores_vertex_order")
+class ReadsVertices(Learns):
+    def spoil(self, learned):
+        return VertexReader(learned.matrix, learned.names, learned.units)
+
+
+@breaks("check_length_is_learned")
+class AlwaysTheMean(Learns):
+    def spoil(self, learned):
+        return replace(learned, matrix=np.array([[0.0], [0], [0], [1]]))
+
+
+@breaks("check_learned_measure_is_kept")
+class Forgets(Learns):
+    def spoil(self, learned):
+        return HalfRemembered(learned.matrix, learned.names, learned.units)
+
+
+# models
+
+
+class Predicts(Drag):
+    def __call__(self, parameters):
+        return super().__call__(parameters) + self.spoil(parameters)
+
+
+@breaks("check_model_protocol")
+class InputsInAList(Drag):
+    @property
+    def inputs(self):
+        return ["speed", "area"]
+
+
+@breaks("check_model_shapes")
+class NeedsARow(Predicts):
+    def spoil(self, parameters):
+        return 0 * parameters[0, 0]
+
+
+@breaks("check_model_rows_are_independent")
+class RowStatistics(Predicts):
+    def spoil(self, parameters):
+        return 1e-3 * parameters.sum() / max(len(parameters), 1)
+
+
+@breaks("check_model_is_deterministic")
+class NoisyModel(Predicts):
+    def spoil(self, parameters):
+        return 1e-10 * noise()
+
+
+@breaks("check_model_gradient_agrees_with_differences")
+class SteepModel(Drag):
+    def gradient(self, parameters):
+        return 1.1 * super().gradient(parameters)
+
+
+@breaks("check_model_parameters_are_left")
+class NudgesParameters(Drag):
+    def gradient(self, parameters):
+        gradient = super().gradient(parameters)
+        parameters += 1e-12
+        return gradient
+
+
+# sources, and a checker
+
+
+class Yields(Boxes):
+    def __call__(self):
+        return self.spoil(super().__call__())
+
+
+class Duck:
+    def __init__(self, real):
+        self.real = real
+
+    def __getattr__(self, name):
+        return getattr(self.real, name)
+
+    def __len__(self):
+        return len(self.real)
+
+
+@breaks("check_source_protocol")
+class YieldsADuck(Yields):
+    def spoil(self, found):
+        return Duck(found)
+
+
+@breaks("check_source_repeats_itself")
+class OtherBoxesEachTime(Boxes):
+    def __call__(self):
+        return type(self).__base__(self.count, int(np.random.default_rng().integers(2**31)))()
+
+
+@breaks("check_source_meshes_load")
+class ReachesInfinity(Yields):
+    def spoil(self, found):
+        vertices = np.array(found.meshes[0].vertices)
+        vertices[0, 0] = np.inf
+        found.meshes[0].vertices = vertices
+        return replace(found, mesh_at=None)
+
+
+@breaks("check_source_meshes_are_closed")
+class LosesAFace(Boxes):
+    def meshes(self, parameters):
+        meshes = super().meshes(parameters)
+        for mesh in meshes:
+            mesh.faces = mesh.faces[1:]
+        return meshes
+
+
+class Lazy(Sequence):
+    def __init__(self, meshes):
+        self.meshes, self.reads = meshes, 0
+
+    def __len__(self):
+        return len(self.meshes)
+
+
+class Drifting(Lazy):
+    def __getitem__(self, index):
+        mesh = self.meshes[index].copy()
+        self.reads += 1
+        mesh.vertices = mesh.vertices + 1e-9 * self.reads
+        return mesh
+
+
+class Endless(Lazy):
+    def __getitem__(self, index):
+        return self.meshes[index % len(self)]
+
+
+@breaks("check_source_meshes_can_be_read_twice")
+class DriftingMeshes(Boxes):
+    def meshes(self, parameters):
+        return Drifting(super().meshes(parameters))
+
+
+@breaks("check_source_meshes_end")
+class EndlessMeshes(Boxes):
+    def meshes(self, parameters):
+        return Endless(super().meshes(parameters))
+
+
+@breaks("check_source_parameters_differ")
+class OneNameForTwo(Yields):
+    def spoil(self, found):
+        return replace(found, parameters=found.parameters[[0, 0, 2, 3, 4]], mesh_at=None)
+
+
+@breaks("check_source_mesh_at_is_the_exemplar")
+class TruthIsLarger(Yields):
+    def spoil(self, found):
+        return replace(found, mesh_at=lambda row: self.mesh_at(1.1 * row))
+
+
+@breaks("check_checker_protocol")
+class NeedsEverything(Nothing):
+    needs = "everything"
