@@ -18,19 +18,18 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from lampopt import lamp
-from lampopt.errors import BankError, FitError, InputError, MeasureError, PluginError
+from lampopt.errors import BankError, FitError, InputError, PluginError
+from lampopt.measured import measure_all
 from lampopt.plugins import Plugins
-from lampopt.protocols import Decoder, Measure, Progress, Shared
+from lampopt.protocols import Decoder, Progress, Shared
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Exemplars, Frame, Parameter, Scalar, Spec
-from lampopt.units import factor, filled
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 FILL = 0.6  # part of the box that the largest exemplar takes: the rest is room to extrapolate
 PROBES = 16384  # points where linearity is tested; about 2 % of them fall near the surface
-FOLLOWS = 0.9  # least R² of a declared measurement against its parameter
 log = logging.getLogger("lampopt")
 
 
@@ -86,12 +85,16 @@ def build_bank(
     if batch < 1 or probes < 1:
         raise InputError(f"batch and probes: expected at least 1, got {batch} and {probes}")
     facts = _survey(exemplars)
-    plan = _plan(exemplars, facts, spec, seed, batch, probes)
+    plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
     path = Path(store) if store is not None else None
-    if path is not None and path.exists():
-        return _finished(path, plan)
     measured_by = {**exemplars.measured, **(measured or {})}
-    values = _measure_all(exemplars, measured_by, plugins)
+    if path is not None and path.exists():
+        bank = _finished(path, plan)
+        if dict(bank.measured_by) == measured_by:
+            return bank
+        values = measure_all(exemplars, measured_by, plugins)
+        return lamp.store_bank(replace(bank, measured_by=measured_by, measured=values), path)
+    values = measure_all(exemplars, measured_by, plugins)
     partial = _Partial.open(path, plan) if path is not None else None
     frame = _frame(facts.bounds, exemplars.unit)
     meshes = _InBox(exemplars.meshes, exemplars.names, frame)
@@ -244,64 +247,6 @@ def _part(tell: Progress, start: float, share: float, what: str) -> Callable[...
     return progress
 
 
-def _measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: Plugins) -> Array:
-    """Values (N, len(measured_by)) read off the exemplars' meshes, each in its parameter's unit.
-
-    Raises
-    ------
-    InputError
-        If one cannot be read, or does not follow its parameter over the exemplars.
-    """
-    if not measured_by:
-        return np.empty((len(exemplars), 0))
-    index = {q.name: i for i, q in enumerate(exemplars.space)}
-    if unknown := sorted(set(measured_by) - set(index)):
-        raise InputError(f"measured: {unknown} are no parameters; known are {list(index)}")
-    asked = {p: resolve_address(address, plugins) for p, address in measured_by.items()}
-    values = np.empty((len(exemplars), len(asked)))
-    for row, (name, mesh) in enumerate(zip(exemplars.names, exemplars.meshes, strict=True)):
-        known: dict[str, Array] = {}
-        for column, (address, measure, place) in enumerate(asked.values()):
-            key = address.partition(".")[0]
-            try:
-                if key not in known:
-                    known[key] = np.asarray(measure(mesh), float)
-            except MeasureError as error:
-                raise InputError(f"measured: {address!r} cannot be read off exemplar {name!r}: {error}") from error
-            values[row, column] = known[key][place]
-    for column, (parameter, (address, measure, place)) in enumerate(asked.items()):
-        q = exemplars.space[index[parameter]]
-        unit = filled(measure.units[place], exemplars.unit)
-        values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
-        given = exemplars.parameters[:, index[parameter]]
-        if len(given) > 2 and np.ptp(given) > 0:
-            r2 = np.corrcoef(given, values[:, column])[0, 1] ** 2 if np.ptp(values[:, column]) > 0 else 0.0
-            if r2 < FOLLOWS:
-                raise InputError(
-                    f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
-                    f"expected {FOLLOWS}): it measures something else, or the table is wrong"
-                )
-    return values
-
-
-def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:
-    """`measure.value` as (address, the measure, the value's place in it).
-
-    Raises
-    ------
-    InputError
-        If the measure has no such value: its values are listed.
-    """
-    name, dot, value = address.partition(".")
-    measure = plugins.make("measure", name)
-    if not isinstance(measure, Measure):
-        raise PluginError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
-    if not dot or value not in measure.names:
-        known = ", ".join(f"{name}.{v}" for v in measure.names)
-        raise InputError(f"measured value {address!r}: expected 'measure.value', one of {known}")
-    return address, measure, tuple(measure.names).index(value)
-
-
 def _ranged(space: Sequence[Parameter], values: Array) -> tuple[Parameter, ...]:
     """`space` with the range that `values` (N, d) span; a label nobody has spans none."""
 
@@ -317,7 +262,7 @@ def _ranged(space: Sequence[Parameter], values: Array) -> tuple[Parameter, ...]:
     return tuple(each())
 
 
-def _plan(exemplars: Exemplars, facts: _Facts, spec: Spec, seed: int, batch: int, probes: int) -> str:
+def _plan(exemplars: Exemplars, facts: _Facts, decoder: str, seed: int, batch: int, probes: int) -> str:
     """A hash of all that a bank depends on."""
     inputs = {
         "meshes": facts.hashes,
@@ -326,7 +271,7 @@ def _plan(exemplars: Exemplars, facts: _Facts, spec: Spec, seed: int, batch: int
         "labels": lamp.digest(exemplars.labels),
         "space": [str(q) for q in (*exemplars.space, *exemplars.label_space)],
         "unit": exemplars.unit,
-        "decoder": repr(spec),
+        "decoder": decoder,
         "seed": seed,
         "batch": batch,
         "probes": probes,
@@ -354,6 +299,13 @@ def _provenance(plan: str, plugins: Plugins, spec: Spec, seed: int, batch: int) 
     }
 
 
+def _planned(note: Path) -> str | None:
+    try:
+        return str(json.loads(note.read_text())["plan"])
+    except (ValueError, KeyError, TypeError):  # killed while it was written: nothing was fitted yet
+        return None
+
+
 @dataclass(frozen=True)
 class _Partial:
     """`<store>.partial/`: the finished parts of a build that has not come to its end."""
@@ -365,18 +317,22 @@ class _Partial:
         folder = store.with_name(store.name + ".partial")
         note = folder / "plan.json"
         if note.exists():
-            if json.loads(note.read_text()).get("plan") != plan:
+            if _planned(note) != plan:
                 raise BankError(
                     f"{folder}: holds the beginning of a bank made from other exemplars, options or seed: delete it "
                     "or name another store"
                 )
             log.info("resuming the build in %s", folder)
         else:
-            folder.mkdir(parents=True, exist_ok=True)
-            note.write_text(json.dumps({"plan": plan}))
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                note.write_text(json.dumps({"plan": plan}))
+            except OSError as error:
+                raise BankError(f"{folder}: cannot be written: {error}") from error
         return cls(folder)
 
     def read(self, name: str) -> dict[str, Array] | None:
+        """The arrays written under `name`, None if there are none."""
         path = self.folder / f"{name}.safetensors"
         return lamp.read(path)[0] if path.exists() else None
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.bank import resolve_address
 from lampopt.errors import MeasureError, StudyError
+from lampopt.measured import resolve_address
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
 from lampopt.solve import Posed

@@ -187,8 +187,9 @@ class _Run:
                     began = time.perf_counter()
                     result = self._judge(target)
                     seconds = time.perf_counter() - began
-                    where = place.write(key, result, self.bank, form=self.study.format, seconds=seconds)
-                    self.plugins.recorded(result, where)
+                    result = replace(result, folder=place.place(key))
+                    place.write(key, result, self.bank, form=self.study.format, seconds=seconds)
+                    self.plugins.recorded(result, place.place(key))
                 yield result
             if progress:
                 progress(1.0, f"{len(asked)} designs")
@@ -245,6 +246,11 @@ class _Run:
         study = self.study
         return _hash(
             {
+                "versions": self._provenance(),
+                "space": [str(q) for q in (*self.bank.space, *self.bank.label_space)],
+                "names": self.bank.names,
+                "measured_by": dict(self.bank.measured_by),
+                "mesh_facts": dict(self.bank.mesh_facts),
                 "bank": [lamp.digest(getattr(self.bank, name)) for name in lamp.PLAIN],
                 "shared": {name: lamp.digest(array) for name, array in self.bank.shared.items()},
                 "limits": [dict(study.limits), dict(self.bank.limits)],
@@ -263,10 +269,12 @@ class _Run:
 
     def _provenance(self) -> dict[str, Scalar]:
         solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
+        decoder = self.plugins.get("decoder", self.bank.decoder.name)
         return {
             **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
             "lampopt": version("lampopt"),
             "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
+            "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",
             "level": self.study.level,
             "resolution": self.study.resolution,
         }

@@ -77,11 +77,12 @@ class Problem:
 
 @dataclass(frozen=True)
 class Plugins:
-    """What is installed: the offers by kind and name, and the problems met on the way."""
+    """What is installed: the offers by kind and name, the problems met on the way, each plugin's distribution."""
 
     offers: Mapping[tuple[str, str], Offer]
     problems: tuple[Problem, ...]
     clashes: Mapping[tuple[str, str], tuple[Offer, ...]] = field(default_factory=dict)
+    owners: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     manager: pluggy.PluginManager = field(default_factory=lambda: _manager(), repr=False)
 
     @classmethod
@@ -119,7 +120,7 @@ class Plugins:
             if name not in blocked:
                 _register(manager, name, plugin, ("not installed", "-"), owners, problems)
         offers, clashes = _offers(manager, owners, problems)
-        return cls(offers, tuple(problems), clashes, manager)
+        return cls(offers, tuple(problems), clashes, owners, manager)
 
     def report(self) -> Plugins:
         """Log every problem as a warning; returns itself."""

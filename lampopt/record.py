@@ -125,7 +125,8 @@ class RunFolder:
         target, alpha, residual, status, message, checks, provenance, mesh = row
         mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message)
         design = rebuild(json.loads(target), mix, self.place(key) / mesh if mesh else None)
-        return Result(design, tuple(_from_row(check) for check in json.loads(checks)), json.loads(provenance))
+        found = tuple(_from_row(check) for check in json.loads(checks))
+        return Result(design, found, json.loads(provenance), self.place(key))
 
 
 def _as_row(check: Check) -> list[Any]:

@@ -48,7 +48,7 @@ def number(value: float | str, unit: str, what: str) -> float:
         found = _QUANTITY.fullmatch(value)
         if not found:
             raise InputError(f"{what}: expected a number or text such as '1420 mm', got {value!r}")
-        return float(found[1]) * (factor(found[2], unit, what) if found[2] else 1.0)
+        return number(float(found[1]) * (factor(found[2], unit, what) if found[2] else 1.0), unit, what)
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == float("inf"):
         raise InputError(f"{what}: expected a finite number or text such as '1420 mm', got {value!r}")
     return float(value)

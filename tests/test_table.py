@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lampopt.errors import InputError
+from lampopt.meshfile import SUFFIXES, load_mesh
 from lampopt.protocols import Source
 from lampopt_datasets.columns import name_and_unit
-from lampopt_datasets.meshes import SUFFIXES, load_mesh
 from lampopt_datasets.table import Table
 
 CARS = """mesh,length [m],ramp [deg],drag,maker

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
@@ -95,11 +96,12 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The answer, checked. Rejected designs are results too."""
+    """The answer, checked. Rejected designs are results too. `folder` is where it was recorded, if it was."""
 
     design: Design
     checks: tuple[Check, ...]
     provenance: Mapping[str, Scalar] = field(default_factory=dict)
+    folder: Path | None = None
 
     @property
     def accepted(self) -> bool:

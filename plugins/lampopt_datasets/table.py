@@ -13,10 +13,11 @@ from reprlib import repr as short
 import numpy as np
 
 from lampopt.errors import InputError
+from lampopt.meshfile import SUFFIXES
 from lampopt.types import Array, Exemplars, Parameter
 
 from .columns import Column, columns, first, name_and_unit, read
-from .meshes import SUFFIXES, MeshFiles
+from .meshes import MeshFiles
 
 log = logging.getLogger("lampopt")
 MESH = "mesh"

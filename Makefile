@@ -1,0 +1,38 @@
+# make demo     13 plates with a hole → one outside their range, with checks and a picture, in demo/
+# make test     everything that has to hold: lint, types, docs, tests (PYTEST="-m 'not slow'" leaves out the long ones)
+# make docs     docs/_build/html/index.html
+# make lint     ruff and mypy
+#
+# All that is needed beforehand: Python 3.11 with pip, and make. The rest goes into .venv, once.
+
+PYTHON ?= $(or $(shell command -v python3.11),python3)
+PYTEST ?=
+BIN := .venv/bin
+READY := .venv/ready
+
+.PHONY: demo test docs lint setup clean
+
+demo: $(READY)
+	$(BIN)/python examples/demo.py demo
+
+test: lint docs
+	$(BIN)/python -m pytest tests examples/third_party_decoder $(PYTEST)
+
+docs: $(READY)
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+setup: $(READY)
+
+# pip 23 builds each editable with its own -e; constraints.txt keeps torch at the version without CUDA packages.
+$(READY): pyproject.toml constraints.txt examples/third_party_decoder/pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install -c constraints.txt setuptools -e ".[dev,docs]" -e examples/third_party_decoder
+	touch $@
+
+clean:
+	rm -rf .venv build demo docs/_build .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,154 @@
+"""`lampopt bank build`, `bank info`: exemplars into a bank, and what is in one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from lampopt.bank import build_bank
+from lampopt.cli.answer import Answer, Group
+from lampopt.cli.options import can_be_written, pairs, spec
+from lampopt.cli.show import number, span, table
+from lampopt.exemplars import exemplars
+from lampopt.lamp import load_bank
+from lampopt.plugins import Plugins
+from lampopt.progress import progress_bar
+from lampopt.types import Bank
+
+
+@click.group(cls=Group)
+def bank() -> None:
+    """Build a bank from exemplars, or see what is in one."""
+
+
+@bank.command(resumes="the same command goes on where it stopped")
+@click.option("--source", required=True, metavar="NAME", help="Where exemplars come from; see `lampopt sources`.")
+@click.option("--set", "settings", multiple=True, metavar="OPTION=VALUE", help="An option of the source; repeatable.")
+@click.option("--decoder", default="sdf-mlp", show_default=True, metavar="NAME", help="What fits them.")
+@click.option(
+    "--decoder-set", "decoder_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the decoder."
+)
+@click.option(
+    "--measured",
+    multiple=True,
+    metavar="PARAMETER=MEASURE.VALUE",
+    help="Which parameter can be measured on a mesh, and how: length=extents.length. Repeatable.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Same seed, same bank.")
+@click.option("--batch", type=click.IntRange(1), default=8, show_default=True, help="Exemplars fitted together.")
+@click.option(
+    "--out", required=True, metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="The .lamp file."
+)
+def build(
+    source: str,
+    settings: tuple[str, ...],
+    decoder: str,
+    decoder_settings: tuple[str, ...],
+    measured: tuple[str, ...],
+    seed: int,
+    batch: int,
+    out: Path,
+) -> Answer:
+    """Build a bank from the exemplars of a source.
+
+    They are fitted by one decoder from one shared start.
+
+    An interrupted build of the same inputs goes on where it stopped; a finished one is only read.
+
+    \b
+        lampopt bank build --source table --set table=cars.csv --set meshes=stl --out cars.lamp
+    """
+    can_be_written("--out", out)
+    plugins = Plugins.load().report()
+    chosen = spec(plugins, "decoder", decoder, "--decoder-set", decoder_settings)
+    plugins.make("decoder", chosen)  # a wrong option is told before the meshes are read
+    found = exemplars(spec(plugins, "source", source, "--set", settings), plugins=plugins)
+    with progress_bar(f"building {out}") as progress:
+        made = build_bank(
+            found,
+            chosen,
+            seed=seed,
+            store=out,
+            measured=pairs("--measured", measured),
+            batch=batch,
+            progress=progress,
+            plugins=plugins,
+        )
+    return _described(made)
+
+
+@bank.command()
+@click.argument("file", metavar="BANK", type=click.Path(dir_okay=False, path_type=Path))
+def info(file: Path) -> Answer:
+    """Show what is in a bank.
+
+    Parameters with their ranges and units, labels, the decoder, fit errors in the bank's unit, where it comes from.
+    """
+    return _described(load_bank(file))
+
+
+def _described(bank: Bank) -> Answer:
+    errors = bank.fit_error / bank.frame.scale  # [box] → the user's unit
+    worst = int(errors.argmax())
+    parameters: list[dict[str, Any]] = [
+        {"name": q.name, "unit": q.unit, "low": q.low, "high": q.high, "measured_by": bank.measured_by.get(q.name)}
+        for q in bank.space
+    ]
+    labels: list[dict[str, Any]] = [
+        {"name": q.name, "unit": q.unit, "low": q.low, "high": q.high, "known": int((~np.isnan(column)).sum())}
+        for q, column in zip(bank.label_space, bank.labels.T, strict=True)
+    ]
+    document: dict[str, Any] = {
+        "bank": str(bank.path),
+        "exemplars": len(bank),
+        "weights": bank.weights.shape[1],
+        "unit": bank.frame.unit,
+        "decoder": {"name": bank.decoder.name, "options": dict(bank.decoder.options)},
+        "parameters": parameters,
+        "labels": labels,
+        "fit_error": {
+            "unit": bank.frame.unit,
+            "mean": float(errors.mean()),
+            "worst": float(errors[worst]),
+            "worst_exemplar": bank.names[worst],
+            "by_exemplar": {name: float(e) for name, e in zip(bank.names, errors, strict=True)},
+        },
+        "probes": len(bank.probes),
+        "measured_by": dict(bank.measured_by),
+        "mesh_facts": dict(bank.mesh_facts),
+        "limits": dict(bank.limits),
+        "provenance": dict(bank.provenance),
+    }
+    unit = bank.frame.unit
+    facts = [
+        ("exemplars", len(bank)),
+        ("weights each", bank.weights.shape[1]),
+        ("decoder", _listed({"": bank.decoder.name, **bank.decoder.options})),
+        (
+            "fit error",
+            f"mean {number(errors.mean())} {unit}, worst {number(errors[worst])} {unit} ({bank.names[worst]})",
+        ),
+        ("probes", len(bank.probes)),
+        ("every mesh has", _listed(bank.mesh_facts) or "nothing in common"),
+        ("own limits", _listed(bank.limits) or "none"),
+    ]
+    shown = [
+        table(str(bank.path), ("", ""), facts),
+        table("comes from", ("", ""), bank.provenance.items()),
+        table(
+            "parameters",
+            ("parameter", "unit", "range", "measured by"),
+            [(p["name"], p["unit"], span(p["low"], p["high"]), p["measured_by"] or "") for p in parameters],
+        ),
+    ]
+    if labels:
+        rows = [(q["name"], q["unit"], span(q["low"], q["high"]), f"{q['known']} of {len(bank)}") for q in labels]
+        shown.append(table("labels", ("label", "unit", "range", "known of"), rows))
+    return Answer(document, shown)
+
+
+def _listed(values: Any) -> str:
+    return ", ".join(f"{name}={value}" if name else str(value) for name, value in values.items())

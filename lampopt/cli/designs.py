@@ -1,0 +1,231 @@
+"""`lampopt make`, `run`, `sweep`: designs from a bank, one from options, one or many from a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lampopt.cli import show
+from lampopt.cli.answer import DONE, REJECTED, Answer, Command
+from lampopt.cli.options import can_be_written, numbers, pairs, spec
+from lampopt.errors import InputError, StudyError
+from lampopt.loop import run as run_study
+from lampopt.loop import sweep as sweep_study
+from lampopt.plugins import Plugins
+from lampopt.progress import progress_bar
+from lampopt.record import export_mesh, passport
+from lampopt.solve import column
+from lampopt.study import FORMATS, Study, Value
+from lampopt.types import LEVELS, Bank, Check, Needs, Result
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+RESUMES = "what is finished is kept, and the same command goes on where it stopped"
+_study = click.argument("study_file", metavar="STUDY", type=click.Path(dir_okay=False, path_type=Path))
+_folder = click.option(
+    "--folder",
+    metavar="FOLDER",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Where results are recorded; by default runs/NAME beside the study file NAME.toml.",
+)
+
+
+@click.command(cls=Command)
+@click.argument("bank", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--target",
+    "targets",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help='A wanted value, in the bank\'s unit or with its own: roof=1.42, "ramp=12 deg". Repeatable.',
+)
+@click.option("--keep", multiple=True, metavar="NAME", help="Hold NAME at the reference's value, or the bank's mean.")
+@click.option("--reference", metavar="NAME", help="The exemplar to stay near.")
+@click.option("--solver", default="kkt", show_default=True, metavar="NAME", help="What chooses the mix.")
+@click.option("--solver-set", "solver_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the solver.")
+@click.option("--measure", "measures", multiple=True, metavar="NAME", help="A measure to report; repeatable.")
+@click.option("--limit", "limits", multiple=True, metavar="CHECK=NUMBER", help="The limit of a check; repeatable.")
+@click.option("--resolution", default=128, show_default=True, help="Cells along the decoder's box.")
+@click.option("--level", type=click.Choice(LEVELS), default="mesh", show_default=True, help="Where to stop judging.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="For whatever draws.")
+@click.option(
+    "--out",
+    metavar="FILE",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help=f"The mesh file, .{', .'.join(FORMATS)}; without it the design is only judged.",
+)
+def make(
+    bank: Path,
+    targets: tuple[str, ...],
+    keep: tuple[str, ...],
+    reference: str | None,
+    solver: str,
+    solver_settings: tuple[str, ...],
+    measures: tuple[str, ...],
+    limits: tuple[str, ...],
+    resolution: int,
+    level: Needs,
+    seed: int,
+    out: Path | None,
+) -> Answer:
+    """Make one design from a bank.
+
+    Shows the evidence about it and writes its mesh. The mesh is written even when the design is rejected, which the
+    exit code says (1). A design without a surface writes nothing.
+
+    \b
+        lampopt make cars.lamp --target roof=1.42 --target "ramp=12 deg" --out car.stl
+    """
+    if not (targets or keep or reference):
+        raise InputError("--target: expected at least one wanted value, such as --target roof=1.42, got none")
+    plugins = Plugins.load().report()
+    study = Study(
+        bank,
+        targets=pairs("--target", targets),
+        keep=keep,
+        reference=reference,
+        solver=spec(plugins, "solver", solver, "--solver-set", solver_settings),
+        measures=measures,
+        limits=numbers("--limit", limits),
+        level=level,
+        resolution=resolution,
+        seed=seed,
+    )
+    if out is not None:
+        if out.suffix.lower().lstrip(".") not in FORMATS or not out.parent.is_dir():
+            raise InputError(f"--out {out}: expected a file ending in .{', .'.join(FORMATS)} in a folder that exists")
+        can_be_written("--out", out)
+    opened = study.opened()
+    with progress_bar("making the design"):
+        result = run_study(replace(study, bank=opened), plugins=plugins)
+        mesh = result.design.mesh if out is not None else None
+    written = out is not None and mesh is not None
+    if out is not None and mesh is not None:
+        export_mesh(mesh, out)
+    document = {"mesh": str(out) if written else None, **passport(result, opened)}
+    if out is None:
+        last = "no mesh is written without --out"
+    elif not written:
+        last = f"{out} is not written: the design has no surface"
+    else:
+        last = f"{out} is written" + ("" if result.accepted else ", although the design is rejected: use it with care")
+    code = DONE if result.accepted and (written or out is None) else REJECTED
+    return Answer(document, [*_shown(result, opened), last], code)
+
+
+@click.command(cls=Command, resumes=RESUMES)
+@_study
+@_folder
+def run(study_file: Path, folder: Path | None) -> Answer:
+    """Make the one design that a study file asks for.
+
+    It is recorded in a folder; a design that is recorded there already is read back, not computed again.
+    """
+    plugins = Plugins.load().report()
+    study, opened, folder = _opened(study_file, folder)
+    with progress_bar(f"running {study_file.name}"):
+        result = run_study(study, folder, plugins=plugins)
+    document = {"folder": str(folder), **passport(result, opened)}
+    shown = [*_shown(result, opened), f"recorded in {folder}"]
+    return Answer(document, shown, DONE if result.accepted else REJECTED)
+
+
+@click.command(cls=Command, resumes=RESUMES)
+@_study
+@_folder
+@click.option(
+    "--set",
+    "grid",
+    multiple=True,
+    metavar="NAME=VALUE,VALUE,...",
+    help="Values of NAME, instead of the study's [sweep]; with several names every combination is made.",
+)
+def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...]) -> Answer:
+    """Make a design for every combination of values.
+
+    The values are those of the study file's [sweep], or those behind --set. Results are recorded in a folder. Exits 0
+    if all designs are accepted, 1 if any is rejected. Designs that are recorded already are read back, so an
+    interrupted or a grown sweep computes only what is missing.
+
+    \b
+        lampopt sweep study.toml --set roof=1.30,1.36,1.42
+    """
+    plugins = Plugins.load().report()
+    study, opened, folder = _opened(study_file, folder)
+    given = {name: _listed(name, text) for name, text in pairs("--set", grid).items()}
+    values: Mapping[str, Sequence[Value]] = given or study.sweep
+    if not values:
+        raise StudyError(f"{study_file}: has no [sweep] table: add one, or name values as in --set roof=1.30,1.36")
+    designs: list[dict[str, Any]] = []
+    rows: list[list[Any]] = []
+    with progress_bar(f"sweeping {study_file.name}") as progress:
+        for number, result in enumerate(sweep_study(study, values, folder, progress=progress, plugins=plugins), 1):
+            failed = next((check for check in result.checks if not check.passed), None)
+            designs.append(_summary(result, opened, failed))
+            asked = [show.number(value) for value in result.design.target.values()]
+            rows.append([number, *asked, show.verdict(result.accepted), _why(failed)])
+    accepted = sum(design["accepted"] for design in designs)
+    rejected = len(designs) - accepted
+    document = {"folder": str(folder), "accepted": accepted, "rejected": rejected, "designs": designs}
+    columns = (
+        "#",
+        *(f"{name} {_unit(opened, name)}".rstrip() for name in designs[0]["target"]),
+        "accepted",
+        "first failing check",
+    )
+    counted = f"{accepted} of {len(designs)} designs are accepted; all are recorded in {folder}"
+    shown = show.table(str(study_file), columns, rows, right=columns[:-2])
+    return Answer(document, [shown, counted], REJECTED if rejected else DONE)
+
+
+def _opened(study_file: Path, folder: Path | None) -> tuple[Study, Bank, Path]:
+    """The study with its bank opened once, and where its results go: beside it, as its bank's path is meant too."""
+    study = Study.read(study_file)
+    opened = study.opened()
+    return replace(study, bank=opened), opened, folder or study_file.parent / "runs" / study_file.stem
+
+
+def _listed(name: str, text: str) -> list[str]:
+    values = [value.strip() for value in text.split(",")]
+    if not all(values):
+        raise InputError(f"--set {name}: expected values between commas, such as 1.30,1.36, got {text!r}")
+    return values
+
+
+def _shown(result: Result, bank: Bank) -> Sequence[RenderableType]:
+    status = f"{result.design.mix.status} mix" + (f": {m}" if (m := result.design.mix.message) else "")
+    return [
+        show.checks(result),
+        show.predicted(result, bank),
+        status,
+        show.verdict(result.accepted, "accepted: every check passed", f"REJECTED: {_failures(result)}"),
+    ]
+
+
+def _failures(result: Result) -> str:
+    return "; ".join(_why(check) for check in result.checks if not check.passed)
+
+
+def _why(check: Check | None) -> str:
+    if check is None:
+        return ""
+    if check.value != check.value:
+        return f"{check.name} is not known: {check.note}"
+    return f"{check.name} {show.number(check.value)}, expected {show.limit(check)}"
+
+
+def _summary(result: Result, bank: Bank, failed: Check | None) -> dict[str, Any]:
+    """A design in a sweep's document: its passport without the long lists, and the first check that it fails."""
+    full = passport(result, bank)
+    kept = {key: full[key] for key in ("target", "accepted", "status", "message", "predicted")}
+    return {**kept, "failed": next((c for c in full["checks"] if failed and c["name"] == failed.name), None)}
+
+
+def _unit(bank: Bank, name: str) -> str:
+    unit = column(bank, name).unit
+    return f"[{unit}]" if unit else ""

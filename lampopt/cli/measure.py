@@ -1,0 +1,45 @@
+"""`lampopt measure`: named values off a mesh file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lampopt.cli.answer import Answer, Command
+from lampopt.cli.options import spec
+from lampopt.cli.show import number, table
+from lampopt.loop import measure as measured
+from lampopt.meshfile import load_mesh
+from lampopt.plugins import Plugins
+from lampopt.units import filled
+
+if TYPE_CHECKING:
+    pass
+
+
+@click.command(cls=Command)
+@click.argument("name")
+@click.argument("mesh", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--set", "settings", multiple=True, metavar="OPTION=VALUE", help="An option of the measure; repeatable.")
+@click.option("--unit", default="m", show_default=True, help="Length unit of the mesh file.")
+def measure(name: str, mesh: Path, settings: tuple[str, ...], unit: str) -> Answer:
+    """Measure a mesh file.
+
+    NAME is a measure; `lampopt plugins` lists them. MESH is an STL, OBJ, PLY, OFF or GLB file.
+
+    \b
+        lampopt measure extents car.stl
+    """
+    plugins = Plugins.load().report()
+    chosen = spec(plugins, "measure", name, "--set", settings)
+    values = measured(chosen, load_mesh(mesh), plugins=plugins)
+    units = [filled(u, unit) for u in plugins.make("measure", chosen).units]
+    document = {
+        "measure": name,
+        "mesh": str(mesh),
+        "values": {n: {"value": v, "unit": u} for (n, v), u in zip(values.items(), units, strict=True)},
+    }
+    rows = [(n, number(v), u) for (n, v), u in zip(values.items(), units, strict=True)]
+    return Answer(document, [table(f"{name} of {mesh}", ("name", "value", "unit"), rows, right=("value",))])

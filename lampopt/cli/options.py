@@ -1,0 +1,85 @@
+"""What is typed behind options: NAME=VALUE pairs, their types told by the plugin that they are for."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from lampopt.errors import InputError
+from lampopt.plugins import Plugins, known_options
+from lampopt.types import Scalar, Spec
+
+T = TypeVar("T")
+TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+def pairs(option: str, given: Sequence[str]) -> dict[str, str]:
+    """NAME=VALUE texts by name.
+
+    Raises
+    ------
+    InputError
+        If one has another form, or a name comes twice.
+    """
+    found: dict[str, str] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if not (name and equals and value):
+            raise InputError(f"{option}: expected NAME=VALUE, got {text!r}")
+        if name in found:
+            raise InputError(f"{option}: {name} is given twice, as {found[name]} and as {value}: leave one out")
+        found[name] = value
+    return found
+
+
+def numbers(option: str, given: Sequence[str]) -> dict[str, float]:
+    """NAME=NUMBER texts by name. Raises InputError as `pairs`, and where a value is no number."""
+    return {name: _read(float, "a number", f"{option} {name}", text) for name, text in pairs(option, given).items()}
+
+
+def spec(plugins: Plugins, kind: str, name: str, option: str, given: Sequence[str]) -> Spec:
+    """The Spec of plugin `name` with NAME=VALUE options, each as its declared type has it.
+
+    An option that the plugin does not know is left to `Plugins.make`, which lists those that it knows.
+
+    Raises
+    ------
+    PluginError
+        If there is no such plugin.
+    InputError
+        If a value cannot be read as the declared type.
+    """
+    declared = known_options(plugins.get(kind, name).resolve())
+    texts = pairs(option, given)
+    return Spec(name, **{key: _typed(f"{option} {key}", text, declared.get(key, "str")) for key, text in texts.items()})
+
+
+def can_be_written(option: str, path: Path) -> None:
+    """Raise InputError, before long work, where no file can be put at `path`."""
+    folder = next(place for place in path.absolute().parents if place.exists())
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"{option} {path}: no file can be written in {folder}: {error.strerror}") from error
+
+
+def _typed(what: str, text: str, declared: str) -> Scalar:
+    wanted = {part.strip() for part in declared.split("|")}
+    if "str" in wanted:
+        return text
+    if "bool" in wanted:
+        return _read(lambda t: TRUTH[t.lower()], "true or false", what, text)
+    if "int" in wanted and "float" not in wanted:
+        return _read(int, "a whole number", what, text)
+    return _read(float, "a number", what, text) if "float" in wanted else text
+
+
+def _read(to: Callable[[str], T], expected: str, what: str, text: str) -> T:
+    try:
+        return to(text)
+    except (ValueError, KeyError) as error:
+        raise InputError(f"{what}: expected {expected}, got {text!r}") from error

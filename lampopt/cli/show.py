@@ -1,0 +1,79 @@
+"""Tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from lampopt.types import Bank, Check, Result
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+GOOD, BAD = "green", "bold red"
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], *, right: Sequence[str] = ()) -> Table:
+    """A table of texts as they stand (brackets are units, no markup); the columns in `right` hold numbers."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_header=any(columns))
+    for column in columns:
+        made.add_column(Text(column), justify="right" if column in right else "left", overflow="fold")
+    for row in rows:
+        made.add_row(*(cell if isinstance(cell, Text) else Text(str(cell)) for cell in row))
+    return made
+
+
+def number(value: float | None) -> str:
+    """Six figures; a dash for what is not known."""
+    return "–" if value is None or value != value else f"{value:.6g}"
+
+
+def verdict(passed: bool, good: str = "yes", bad: str = "NO") -> Text:
+    """`good` or `bad`, in its colour."""
+    from rich.text import Text
+
+    return Text(good if passed else bad, style=GOOD if passed else BAD)
+
+
+def limit(check: Check) -> str:
+    """What a check asks for: "<= 0.01 box"."""
+    return "" if check.limit is None else f"{check.sense} {number(check.limit)} {check.unit}".rstrip()
+
+
+def checks(result: Result) -> Table:
+    """The evidence about a design."""
+    rows = [
+        (
+            c.name,
+            number(c.value),
+            c.sense,
+            number(c.limit),
+            c.unit,
+            "" if c.limit is None else verdict(c.passed),
+            c.note,
+        )
+        for c in result.checks
+    ]
+    columns = ("check", "value", "sense", "limit", "unit", "passed", "note")
+    return table("checks", columns, rows, right=("value", "limit"))
+
+
+def predicted(result: Result, bank: Bank) -> Table:
+    """What the design's parameters should be, beside what was asked and what the bank spans."""
+    asked = result.design.target
+    rows = [
+        (q.name, number(asked.get(q.name)), number(float(value)), q.unit, span(q.low, q.high))
+        for q, value in zip(bank.space, result.design.predicted, strict=True)
+    ]
+    columns = ("parameter", "asked", "predicted", "unit", "in the bank")
+    return table("parameters", columns, rows, right=("asked", "predicted"))
+
+
+def span(low: float | None, high: float | None) -> str:
+    """A range, "1.2 to 1.6"."""
+    return f"{number(low)} to {number(high)}"

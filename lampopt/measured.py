@@ -1,0 +1,73 @@
+"""Parameters that can be measured: addresses such as `extents.length`, and their values on the exemplars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from lampopt.errors import InputError, MeasureError, PluginError
+from lampopt.plugins import Plugins
+from lampopt.protocols import Measure
+from lampopt.types import Array, Exemplars
+from lampopt.units import factor, filled
+
+FOLLOWS = 0.9  # least R² of a declared measurement against its parameter
+
+
+def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: Plugins) -> Array:
+    """Values (N, len(measured_by)) read off the exemplars' meshes, each in its parameter's unit.
+
+    Raises
+    ------
+    InputError
+        If one cannot be read, or does not follow its parameter over the exemplars.
+    """
+    if not measured_by:
+        return np.empty((len(exemplars), 0))
+    index = {q.name: i for i, q in enumerate(exemplars.space)}
+    if unknown := sorted(set(measured_by) - set(index)):
+        raise InputError(f"measured: {unknown} are no parameters; known are {list(index)}")
+    asked = {p: resolve_address(address, plugins) for p, address in measured_by.items()}
+    values = np.empty((len(exemplars), len(asked)))
+    for row, (name, mesh) in enumerate(zip(exemplars.names, exemplars.meshes, strict=True)):
+        known: dict[str, Array] = {}
+        for column, (address, measure, place) in enumerate(asked.values()):
+            key = address.partition(".")[0]
+            try:
+                if key not in known:
+                    known[key] = np.asarray(measure(mesh), float)
+            except MeasureError as error:
+                raise InputError(f"measured: {address!r} cannot be read off exemplar {name!r}: {error}") from error
+            values[row, column] = known[key][place]
+    for column, (parameter, (address, measure, place)) in enumerate(asked.items()):
+        q = exemplars.space[index[parameter]]
+        unit = filled(measure.units[place], exemplars.unit)
+        values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
+        given = exemplars.parameters[:, index[parameter]]
+        if len(given) > 2 and np.ptp(given) > 0:
+            r2 = np.corrcoef(given, values[:, column])[0, 1] ** 2 if np.ptp(values[:, column]) > 0 else 0.0
+            if r2 < FOLLOWS:
+                raise InputError(
+                    f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
+                    f"expected {FOLLOWS}): it measures something else, or the table is wrong"
+                )
+    return values
+
+
+def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:
+    """`measure.value` as (address, the measure, the value's place in it).
+
+    Raises
+    ------
+    InputError
+        If the measure has no such value: its values are listed.
+    """
+    name, dot, value = address.partition(".")
+    measure = plugins.make("measure", name)
+    if not isinstance(measure, Measure):
+        raise PluginError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
+    if not dot or value not in measure.names:
+        known = ", ".join(f"{name}.{v}" for v in measure.names)
+        raise InputError(f"measured value {address!r}: expected 'measure.value', one of {known}")
+    return address, measure, tuple(measure.names).index(value)

@@ -1,0 +1,195 @@
+"""Decoder `sdf-mlp`: one signed distance network per exemplar, all from one shared start (paper, section 3)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.decode import field_to_mesh
+from lampopt.errors import InputError
+from lampopt.protocols import Progress, Shared
+from lampopt.types import Array
+
+if TYPE_CHECKING:
+    import torch
+    from trimesh import Trimesh
+
+    from lampopt_sdf.network import Network
+    from lampopt_sdf.training import Samples
+
+RATES = {"relu": 3e-3, "sine": 3e-4}  # first learning rate of Adam
+
+
+@dataclass(frozen=True)
+class SdfMlp:
+    """Fourier features and an MLP, fitted to signed distances.
+
+    Parameters
+    ----------
+    width, depth
+        Of the hidden layers.
+    octaves
+        Fourier features sin, cos of 2^k πz for k below it; 0 leaves z alone.
+    activation
+        "relu" (the paper's) or "sine" (SIREN; take octaves=0).
+    start_steps, steps
+        Optimizer steps for the shared start, and for each exemplar from there.
+    points
+        Points an exemplar sees in one step.
+    samples
+        Points drawn about each exemplar, once.
+    learning_rate
+        0: what suits the activation.
+    tolerance
+        Mean surface error at which an exemplar is finished [box]; 0: never before `steps`.
+    shared_start
+        False is the ablation: each exemplar from random weights of its own (paper, tables 5 and 6).
+    seed_per_exemplar
+        True is the paper's second ablation: each exemplar sees points in an order of its own.
+    device
+        "cpu", or what torch calls another.
+    """
+
+    width: int = 96
+    depth: int = 4
+    octaves: int = 4
+    activation: str = "relu"
+    start_steps: int = 3000
+    steps: int = 500
+    points: int = 4096
+    samples: int = 100_000
+    learning_rate: float = 0.0
+    tolerance: float = 1e-4
+    shared_start: bool = True
+    seed_per_exemplar: bool = False
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        for name, least in (
+            ("width", 1),
+            ("depth", 1),
+            ("octaves", 0),
+            ("start_steps", 1),
+            ("steps", 1),
+            ("points", 1),
+        ):
+            if getattr(self, name) < least:
+                raise InputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        if self.activation not in RATES:
+            raise InputError(f"activation: expected one of {', '.join(RATES)}, got {self.activation!r}")
+        if self.samples < self.points:
+            raise InputError(f"samples: expected at least as many as points ({self.points}), got {self.samples}")
+        if not (0 <= self.learning_rate < 1 and 0 <= self.tolerance < 1):
+            raise InputError(f"learning_rate, tolerance: expected 0 to 1, got {self.learning_rate}, {self.tolerance}")
+
+    @classmethod
+    def example(cls) -> SdfMlp:
+        """A cheap instance for `lampopt.testing`."""
+        return cls(width=48, depth=3, octaves=2, start_steps=800, steps=200, points=1024, samples=8000)
+
+    @property
+    def bounds(self) -> Array:
+        """(2, 3): the box [-1, 1]³."""
+        return np.array([[-1.0] * 3, [1.0] * 3])
+
+    def prepare(self, meshes: Sequence[Trimesh], *, mean: Trimesh, seed: int) -> Shared:
+        """The start weights (D,): fitted to `mean`, or random ones where there is to be no shared start."""
+        first = self._network().initial(np.random.default_rng([seed, 0]))
+        if not self.shared_start:
+            return {"start": first}
+        weights, _ = self._train(first[None], [mean], seed, self.start_steps, None)
+        return {"start": weights[0]}
+
+    def fit(
+        self, shared: Shared, meshes: Sequence[Trimesh], *, seed: int, progress: Progress | None = None
+    ) -> tuple[Array, Array]:
+        """Weights (n, D) and mean surface errors (n,) [box] of a batch, in batched matrix products."""
+        if self.shared_start:
+            start = np.repeat(self._checked(shared)[None], len(meshes), 0)
+            return self._train(start, meshes, seed, self.steps, progress)
+        keys = [np.random.SeedSequence(seed, spawn_key=_key(mesh)) for mesh in meshes]
+        start = np.stack([self._network().initial(np.random.default_rng(key)) for key in keys])
+        return self._train(start, meshes, seed, self.start_steps + self.steps, progress)
+
+    def evaluate(self, shared: Shared, weights: Array, points: Array) -> Array:
+        """Signed distances (..., M, 1) of weights (..., D) at points (M, 3) [box]."""
+        from lampopt_sdf.network import evaluate
+
+        weights, points, network = np.asarray(weights), np.asarray(points), self._network()
+        if weights.shape[-1:] != (network.size,):
+            raise InputError(f"weights: expected {network.size} for this network, got shape {weights.shape}")
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError(f"points: expected shape (M, 3), got {points.shape}")
+        flat = [evaluate(network, w, points, self._device()) for w in weights.reshape(-1, network.size)]
+        return np.array(flat, np.float32).reshape(*weights.shape[:-1], len(points), 1)
+
+    def decode(self, shared: Shared, weights: Array, *, resolution: int) -> Trimesh:
+        """The zero level set in the box, closed, faces outward. Raises EmptyMesh."""
+        return field_to_mesh(lambda points: self.evaluate(shared, weights, points)[..., 0], self.bounds, resolution)
+
+    def probes(self, shared: Shared, count: int, seed: int) -> Array:
+        """(count, 3) points drawn evenly in the box (paper, appendix N)."""
+        return np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (count, 3))
+
+    def _network(self) -> Network:
+        from lampopt_sdf.network import Network
+
+        return Network(self.width, self.depth, self.octaves, self.activation)
+
+    def _device(self) -> torch.device:
+        import torch
+
+        return torch.device(self.device)
+
+    def _checked(self, shared: Shared) -> Array:
+        size = self._network().size
+        if "start" not in shared or shared["start"].shape != (size,):
+            raise InputError(
+                f"shared: expected start weights of shape ({size},), got { {k: v.shape for k, v in shared.items()} }"
+            )
+        return np.asarray(shared["start"], np.float32)
+
+    def _train(
+        self, start: Array, meshes: Sequence[Trimesh], seed: int, steps: int, progress: Progress | None
+    ) -> tuple[Array, Array]:
+        from lampopt_sdf.training import train
+
+        # The same draws for every exemplar keep their weights aligned (paper, appendix F: same seed beats own seeds).
+        own = self.seed_per_exemplar
+        orders = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_key(m))) for m in meshes] if own else []
+        return train(
+            self._network(),
+            start,
+            self._samples(meshes, seed),
+            orders or [np.random.default_rng([seed, 2])],
+            steps=steps,
+            points=self.points,
+            rate=self.learning_rate or RATES[self.activation],
+            tolerance=self.tolerance,
+            progress=progress,
+        )
+
+    def _samples(self, meshes: Sequence[Trimesh], seed: int) -> Samples:
+        import torch
+
+        from lampopt_sdf.samples import draw
+        from lampopt_sdf.training import Samples
+
+        drawn = [
+            draw(m, self.samples, np.random.SeedSequence(seed, spawn_key=_key(m) if self.seed_per_exemplar else (3,)))
+            for m in meshes
+        ]
+        stacked = (
+            torch.as_tensor(np.array(part, np.float32), device=self._device()) for part in zip(*drawn, strict=True)
+        )
+        return Samples(*stacked)
+
+
+def _key(mesh: Trimesh) -> tuple[int, ...]:
+    """A spawn key that belongs to the mesh itself, whatever batch it is fitted in."""
+    found = hashlib.blake2b(np.ascontiguousarray(mesh.vertices, float).tobytes(), digest_size=16)
+    return tuple(np.frombuffer(found.digest(), np.uint32).tolist())

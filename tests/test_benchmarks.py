@@ -1,0 +1,141 @@
+"""The benchmarks: what they compare with is right, what they promise is there."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampopt
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [p for p in (str(HERE.parent),) if p not in sys.path]
+common, grid, plate, body, fidelity = (
+    importlib.import_module(f"benchmarks.{name}") for name in ("common", "grid", "plate", "body", "fidelity")
+)
+PITCH = 0.05
+
+
+@pytest.fixture(scope="module")
+def plates():
+    return lampopt.exemplars("plate")
+
+
+@pytest.fixture(scope="module")
+def mix(plates, tmp_path_factory):
+    boxes = [m.bounds for m in plates.meshes] + [[[-2.0, -1, -0.2], [2, 1, 0.2]]]
+    lattice = grid.Grid.around(boxes, PITCH, 0.15)
+    return grid.GridMix.of(plates, lattice, tmp_path_factory.mktemp("grid"), "plate", lambda *_: None)
+
+
+def test_one_hot_alpha_gives_the_exemplar(mix, plates):
+    for i in (0, 2, 8):
+        mesh = mix.mesh(np.eye(len(plates))[i])
+        assert mesh.is_watertight
+        assert mesh.volume > 0
+        found = np.array(list(lampopt.measure("plate", mesh).values()))
+        assert np.abs(found - plates.parameters[i]).max() < PITCH / 5
+
+
+def test_distances_mix_to_the_closed_form(mix, plates):
+    """Within the plate, far from its rim, the distance is |z| − thickness / 2: linear, so mixing is exact there."""
+    low, high = plates.names.index("thickness_low"), plates.names.index("thickness_high")
+    alpha = np.zeros(len(plates))
+    alpha[[low, high]] = 1.4, -0.4
+    thickness = float(alpha @ plates.parameters[:, 2])
+    points = mix.grid.nodes(0, mix.grid.size)
+    far = (np.abs(points[:, 0] - 0.75) < 0.15) & (np.abs(points[:, 1]) < 0.15) & (np.abs(points[:, 2]) < 0.2)
+    assert far.sum() > 50
+    truth = np.abs(points[far, 2]) - thickness / 2
+    assert np.abs(alpha @ mix.distances[:, far] - truth).max() < 1e-6
+
+
+def test_no_surface_is_none_and_a_cut_one_is_closed(mix):
+    assert mix.grid.mesh(np.ones(mix.grid.size)) is None
+    assert mix.grid.mesh(-np.ones(mix.grid.size)).is_watertight
+
+
+def test_interrupted_distances_go_on(mix, plates, tmp_path):
+    small = lampopt.Exemplars(plates.parameters[:2], plates.space, plates.meshes[:2], plates.names[:2])
+    lattice = grid.Grid(mix.grid.origin, 0.2, np.ceil(mix.grid.count * PITCH / 0.2).astype(int))
+    whole = grid.GridMix.of(small, lattice, tmp_path / ".", "whole", lambda *_: None)
+    partial = tmp_path / f"{whole.name.replace('whole', 'part')}.partial.npy"
+    rows = np.array(whole.distances)
+    rows[1] = np.nan
+    np.save(partial, rows)
+    again = grid.GridMix.of(small, lattice, tmp_path, "part", lambda *_: None)
+    np.testing.assert_array_equal(again.distances, whole.distances)
+    assert not partial.exists()
+
+
+def test_sweeps_are_those_of_the_issue(plates):
+    space = tuple(lampopt.Parameter(q.name, q.unit, -1.0, 1.0) for q in plates.space)
+    sweeps = plate.Sweeps.of(space, 20)
+    assert sweeps.asked.shape == (120, 6)
+    assert ((sweeps.asked != 0).sum(1) == 1).all()
+    assert (sweeps.asked.min(), sweeps.asked.max()) == (-3, 3)
+    assert sweeps.within(1).sum() == 6 * 6
+    assert sweeps.r2(sweeps.asked, 0, 3) == 1
+    assert sweeps.r2(np.zeros((120, 6)), 0, 3) == pytest.approx(0)
+
+
+def test_verdicts_count_the_unmeasured_as_off(plates):
+    space = tuple(lampopt.Parameter(q.name, q.unit, -1.0, 1.0) for q in plates.space)
+    sweeps = plate.Sweeps.of(space, 4)
+    found = sweeps.asked.copy()
+    good = {"accepted": True, "failed": [], "measured": {}}
+    rows = [dict(good) for _ in found]
+    rows[0] |= {"measured": None}  # off, yet accepted
+    rows[1] |= {"accepted": False, "failed": ["drift.width"]}  # good, yet rejected
+    rows[2] |= {"accepted": False, "failed": ["drift.length", "genus"]}
+    found[2, 0] += 0.2
+    off, blind, accepted, wrongly = plate.verdicts(rows, found, sweeps)
+    assert (off["value"], off["of"], off["met"]) == (0.5, 2, False)
+    assert (blind["value"], blind["by"]) == (0.5, {"genus": 1})
+    assert accepted["value"] == pytest.approx(22 / 24)
+    assert (wrongly["value"], wrongly["of"]) == (pytest.approx(1 / 22), 22)
+
+
+def test_kept_rows_survive_a_kill(tmp_path):
+    path = tmp_path / "scores.jsonl"
+    assert common.Scores(path).get("a", lambda: {"x": 1.0}) == {"x": 1.0}
+    path.write_text(path.read_text() + '{"key": "cut', encoding="utf-8")
+    kept = common.Scores(path)
+    assert kept.get("a", lambda: pytest.fail("made again")) == {"x": 1.0}
+    kept.get("b", lambda: {"x": 2.0})
+    assert set(common.Scores(path).rows) == set(kept.rows)
+
+
+def test_targets_are_judged():
+    assert common.line("x", 0.5, target=">= 0.4")["met"] is True
+    assert common.line("x", 0.5, grid=0.4, target="<= grid")["met"] is False
+    assert common.line("x", float("nan"), grid=0.4, target=">= grid")["met"] is False
+    assert common.line("x", 0.5)["met"] is None
+
+
+def test_without_the_judge_bodies_are_left_out(tmp_path):
+    assert body.find_judge(str(tmp_path)) is None
+
+
+def test_the_plate_table_end_to_end(tmp_path, capsys):
+    """The example decoder mixes distances too: on the grid's own nodes it and the grid mix must agree."""
+    given = ["--quick", "--table", "plate", "--decoder", "gridsdf", "--decoder-set", "size=33", "--resolution", "32"]
+    given += ["--cache", str(tmp_path / "cache"), "--out", str(tmp_path / "out"), "--json"]
+    assert fidelity.main(given) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document == json.loads((tmp_path / "out" / "fidelity-plate-gridsdf-quick.json").read_text(encoding="utf-8"))
+    rows = document["tables"]["plate"]["rows"]
+    assert all({"name", "value", "grid", "target", "met"} <= set(row) for row in rows)
+    assert len(rows) == 2 * 6 + 4
+    for row in rows[:12]:
+        assert row["value"] == pytest.approx(row["grid"], abs=0.05), row["name"]
+    assert len(document["tables"]["plate"]["designs"]) == 36
+    assert fidelity.main(given) == 0  # from what was kept
+    assert json.loads(capsys.readouterr().out)["tables"] == document["tables"]
+
+
+def test_wrong_options_are_said_and_exit_2(tmp_path, capsys):
+    assert fidelity.main(["--decoder", "no-such", "--table", "plate", "--quick", "--cache", str(tmp_path)]) == 2
+    assert "no-such" in capsys.readouterr().err
