@@ -90,6 +90,7 @@ def build_bank(
     measured_by = {**exemplars.measured, **(measured or {})}
     if path is not None and path.exists():
         bank = _finished(path, plan)
+        _Partial.beside(path).remove(plan)  # left where a build was killed in its very last moment
         if dict(bank.measured_by) == measured_by:
             return bank
         values = measure_all(exemplars, measured_by, plugins)
@@ -121,7 +122,7 @@ def build_bank(
     if path is None or partial is None:
         return bank
     bank = lamp.store_bank(bank, path)
-    partial.remove()
+    partial.remove(plan)
     return bank
 
 
@@ -139,6 +140,7 @@ class _Facts:
 
     bounds: Array  # (N, 2, 3)
     hashes: tuple[str, ...]
+    mean: str | None  # hash of the mesh at the mean design, where the source knows it
     common: Mapping[str, int]
 
 
@@ -148,11 +150,16 @@ def _survey(exemplars: Exemplars) -> _Facts:
         if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
             raise FitError(f"exemplar {name!r}: expected a mesh with faces and finite vertices; repair or remove it")
         bounds.append(mesh.bounds)
-        hashes.append(lamp.digest(np.asarray(mesh.vertices, float)) + lamp.digest(np.asarray(mesh.faces, np.int64)))
+        hashes.append(_digest(mesh))
         shapes.add(topology(mesh))
     shape = shapes.pop()
     common = {} if shapes or shape.genus is None else {"bodies": shape.bodies, "genus": shape.genus}
-    return _Facts(np.array(bounds), tuple(hashes), common)
+    mean = None if exemplars.mesh_at is None else _digest(exemplars.mesh_at(exemplars.parameters.mean(0)))
+    return _Facts(np.array(bounds), tuple(hashes), mean, common)
+
+
+def _digest(mesh: Trimesh) -> str:
+    return lamp.digest(np.asarray(mesh.vertices, float)) + lamp.digest(np.asarray(mesh.faces, np.int64))
 
 
 def _frame(bounds: Array, unit: str) -> Frame:
@@ -225,12 +232,18 @@ def _fit(
         if done is None:
             what = f"exemplars {start + 1} to {start + len(chosen)} of {len(meshes)}"
             log.info("fitting %s", what)
-            fitted, error = decoder.fit(
-                shared,
-                chosen,
-                seed=seed,
-                progress=_part(tell, (1 + number) / steps, 1 / steps, what),
-            )
+            names = exemplars.names[start : start + batch]
+            try:
+                fitted, error = decoder.fit(
+                    shared,
+                    chosen,
+                    seed=seed,
+                    progress=_part(tell, (1 + number) / steps, 1 / steps, what),
+                )
+            except FitError as failure:
+                if any(name in str(failure) for name in names):
+                    raise
+                raise FitError(f"among the exemplars {', '.join(names)}: {failure}") from failure
             done = {"weights": np.asarray(fitted, np.float32), "error": np.asarray(error, float)}
             if partial:
                 partial.write(f"batch_{number:04d}", done)
@@ -266,6 +279,7 @@ def _plan(exemplars: Exemplars, facts: _Facts, decoder: str, seed: int, batch: i
     """A hash of all that a bank depends on."""
     inputs = {
         "meshes": facts.hashes,
+        "mean": facts.mean,
         "names": exemplars.names,
         "parameters": lamp.digest(exemplars.parameters),
         "labels": lamp.digest(exemplars.labels),
@@ -302,7 +316,7 @@ def _provenance(plan: str, plugins: Plugins, spec: Spec, seed: int, batch: int) 
 def _planned(note: Path) -> str | None:
     try:
         return str(json.loads(note.read_text())["plan"])
-    except (ValueError, KeyError, TypeError):  # killed while it was written: nothing was fitted yet
+    except (OSError, ValueError, KeyError, TypeError):  # not there, or killed while it was written
         return None
 
 
@@ -314,22 +328,33 @@ class _Partial:
 
     @classmethod
     def open(cls, store: Path, plan: str) -> _Partial:
-        folder = store.with_name(store.name + ".partial")
-        note = folder / "plan.json"
-        if note.exists():
-            if _planned(note) != plan:
-                raise BankError(
-                    f"{folder}: holds the beginning of a bank made from other exemplars, options or seed: delete it "
-                    "or name another store"
-                )
+        partial = cls.beside(store)
+        folder, begun = partial.folder, _planned(partial.note)
+        if begun not in (None, plan):
+            raise BankError(
+                f"{folder}: holds the beginning of a bank made from other exemplars, options or seed: delete it "
+                "or name another store"
+            )
+        if begun == plan:
             log.info("resuming the build in %s", folder)
-        else:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                note.write_text(json.dumps({"plan": plan}))
-            except OSError as error:
-                raise BankError(f"{folder}: cannot be written: {error}") from error
-        return cls(folder)
+            return partial
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for part in folder.glob("*.safetensors"):  # of an unknown plan
+                part.unlink()
+            partial.note.write_text(json.dumps({"plan": plan}))
+        except OSError as error:
+            raise BankError(f"{folder}: cannot be written: {error}") from error
+        return partial
+
+    @classmethod
+    def beside(cls, store: Path) -> _Partial:
+        """Where the parts of `store` are, if there are any."""
+        return cls(store.with_name(store.name + ".partial"))
+
+    @property
+    def note(self) -> Path:
+        return self.folder / "plan.json"
 
     def read(self, name: str) -> dict[str, Array] | None:
         """The arrays written under `name`, None if there are none."""
@@ -339,5 +364,9 @@ class _Partial:
     def write(self, name: str, arrays: Mapping[str, Array]) -> None:
         lamp.write(self.folder / f"{name}.safetensors", arrays, {"format": "lampopt part"})
 
-    def remove(self) -> None:
-        shutil.rmtree(self.folder)
+    def remove(self, plan: str) -> None:
+        """Remove the folder if it is of `plan`; the note goes last, so that a kill leaves it recognisable."""
+        if _planned(self.note) == plan:
+            for part in self.folder.glob("*.safetensors*"):
+                part.unlink()
+            shutil.rmtree(self.folder)

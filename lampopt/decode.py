@@ -70,10 +70,11 @@ def field_to_mesh(field: Field, bounds: Array, resolution: int) -> Trimesh:
     from trimesh import Trimesh
 
     bounds, pitch = _lattice(bounds, resolution)
-    clipped = _clip(field, bounds, pitch)
+    steady = _steady(field, bounds)
     origin, depth = bounds[0], int(np.ceil(np.log2(resolution)))
     root = pitch * 2**depth
-    slope, crossed, shift = _survey(clipped, bounds, pitch, depth)
+    slope, crossed, shift = _survey(steady, bounds, pitch, depth)
+    clipped = _clip(steady, bounds, pitch, max(slope / SLOPE_MARGIN, 1.0))
     while True:
         cells = igl.lipschitz_octree(origin, root, depth, lambda p, slope=slope: np.abs(clipped(p)) / slope)
         if cells.size:  # without cells libigl forgets the columns too
@@ -100,8 +101,10 @@ def field_to_mesh_dense(field: Field, bounds: Array, resolution: int) -> Trimesh
     bounds, pitch = _lattice(bounds, resolution)
     count = np.ceil((bounds[1] - bounds[0]) / pitch - 1e-9).astype(int) + 1
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), -1).reshape(-1, 3)
-    clipped = _clip(field, bounds, pitch)
-    values = _snap(np.concatenate([clipped(bounds[0] + pitch * part) for part in _chunks(nodes)]), pitch)
+    steady = _steady(field, bounds)
+    values = np.concatenate([steady(bounds[0] + pitch * part) for part in _chunks(nodes)])
+    steep = max(_steepest(values.reshape(count), pitch), 1.0)
+    values = _snap(np.maximum(values, steep * _walls(bounds[0] + pitch * nodes, bounds, pitch)), pitch)
     if values.min() > 0 or values.max() < 0:
         raise EmptyMesh(f"the field does not change sign in {bounds.tolist()}: there is no surface to extract")
     vertices, faces, _, _ = marching_cubes(values.reshape(count), 0.0, allow_degenerate=False)
@@ -114,26 +117,39 @@ def _chunks(points: Array, size: int = 1 << 18) -> list[Array]:
 
 def _lattice(bounds: Array, resolution: int) -> tuple[Array, float]:
     bounds = np.asarray(bounds, float)
-    if bounds.shape != (2, 3) or not (bounds[1] > bounds[0]).all():
-        raise InputError(f"bounds: expected (2, 3), low below high, got {bounds.tolist()}")
+    if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
+        raise InputError(f"bounds: expected (2, 3), finite, low below high, got {bounds.tolist()}")
     if not 4 <= resolution <= 4096:
         raise InputError(f"resolution: expected 4 to 4096 cells along the box, got {resolution}")
     return bounds, float((bounds[1] - bounds[0]).max()) / resolution
 
 
-def _clip(field: Field, bounds: Array, pitch: float) -> Field:
-    """`field` within the box less half a cell, so that whatever reaches the box is closed there."""
-    centre, half = bounds.mean(0), (bounds[1] - bounds[0]) / 2 - pitch / 2
+def _steady(field: Field, bounds: Array) -> Field:
+    """`field`, checked; beyond the box it goes on as it is at the box and is never asked about points outside."""
 
-    def clipped(points: Array) -> Array:
-        walls = (np.abs(points - centre) - half).max(1)
-        # beyond the box the field goes on as it is at the box: steady, and never asked about points outside
-        values = np.maximum(np.asarray(field(np.clip(points, *bounds)), float).reshape(-1), walls)
+    def steady(points: Array) -> Array:
+        values = np.asarray(field(np.clip(points, *bounds)), float).reshape(-1)
+        if len(values) != len(points):
+            raise InputError(f"field: expected one value for each of {len(points)} points, got {len(values)}")
         if not np.isfinite(values).all():
             raise InputError("field: expected finite values, got NaN or infinity; the weights are not usable")
-        return np.asarray(values)
+        return values
 
-    return clipped
+    return steady
+
+
+def _walls(points: Array, bounds: Array, pitch: float) -> Array:
+    """Signed distances (M,) to the box less half a cell."""
+    centre, half = bounds.mean(0), (bounds[1] - bounds[0]) / 2 - pitch / 2
+    return np.asarray((np.abs(points - centre) - half).max(1))
+
+
+def _clip(field: Field, bounds: Array, pitch: float, slope: float) -> Field:
+    """`field` within the box less half a cell, so that whatever reaches the box is closed there.
+
+    The walls are as steep as the field: gentler ones would bend it deep inside, and move its surface.
+    """
+    return lambda points: np.maximum(field(points), slope * _walls(points, bounds, pitch))
 
 
 def _survey(field: Field, bounds: Array, pitch: float, depth: int) -> tuple[float, Array, int]:
@@ -144,16 +160,20 @@ def _survey(field: Field, bounds: Array, pitch: float, depth: int) -> tuple[floa
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), -1)
     points = bounds[0] + step * nodes.reshape(-1, 3)
     values = field(points)
-    grid = values.reshape(count)
-    slopes = [np.abs(np.diff(grid, axis=k)).max() / step for k in range(3) if count[k] > 1]
+    slopes = [_steepest(values.reshape(count), step)]
     near = points[np.argsort(np.abs(values), kind="stable")[:2048]]
     at_near = field(near)
     ahead = np.stack([field(near + pitch * np.eye(3)[k]) for k in range(3)], 1)
     slopes.append(np.linalg.norm((ahead - at_near[:, None]) / pitch, axis=1).max())
-    inside = grid < 0
+    inside = (np.maximum(values, _walls(points, bounds, pitch)) < 0).reshape(count)
     blocks = [inside[tuple(slice(c, n - 1 + c) for c, n in zip(corner, count, strict=True))] for corner in CORNERS]
     mixed = np.any(blocks, axis=0) & ~np.all(blocks, axis=0)
     return max(SLOPE_MARGIN * float(max(slopes)), 1.0), np.sort(_key(np.argwhere(mixed), 1 << depth)), shift
+
+
+def _steepest(grid: Array, step: float) -> float:
+    """The largest slope between neighbouring nodes of `grid`."""
+    return float(max(np.abs(np.diff(grid, axis=k)).max() / step for k in range(3) if grid.shape[k] > 1))
 
 
 def _key(cells: Array, size: int) -> Array:

@@ -1,12 +1,13 @@
 """`.lamp` files: safetensors with a JSON header. No pickle anywhere, so a hostile file runs no code.
 
-Every array carries a hash that is checked when it is read; arrays stay mapped from the file.
+Every array and the header carry a hash that is checked when they are read; arrays stay mapped from the file.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import struct
 from collections.abc import Mapping
@@ -21,7 +22,20 @@ from lampopt.types import Array, Bank, Frame, Parameter, Spec
 FORMAT = "lampopt bank"
 SCHEMA = 1
 MIGRATIONS: Mapping[int, Any] = {}  # schema → function that turns its record into the next schema's
-DTYPES = {"F64": np.float64, "F32": np.float32, "F16": np.float16, "I64": np.int64, "I32": np.int32, "U8": np.uint8}
+DTYPES = {
+    "F64": np.float64,
+    "F32": np.float32,
+    "F16": np.float16,
+    "I64": np.int64,
+    "I32": np.int32,
+    "I16": np.int16,
+    "I8": np.int8,
+    "U64": np.uint64,
+    "U32": np.uint32,
+    "U16": np.uint16,
+    "U8": np.uint8,
+    "BOOL": np.bool_,
+}
 PLAIN = ("parameters", "labels", "weights", "probes", "probe_values", "fit_error", "measured")
 
 
@@ -34,19 +48,42 @@ def digest(array: Array) -> str:
 
 
 def write(path: Path, arrays: Mapping[str, Array], record: Mapping[str, Any]) -> None:
-    """Write `arrays` and `record` to `path` in one step: it is there whole, or not at all."""
+    """Write `arrays` and `record` to `path` in one step: it is there whole, or not at all.
+
+    Raises
+    ------
+    BankError
+        If an array is of a kind that the format does not know.
+    """
     from safetensors.numpy import save_file
 
-    arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    head = {**record, "hashes": {name: digest(array) for name, array in sorted(arrays.items())}}
+    arrays = {name: _plain(array, name) for name, array in arrays.items()}
+    head = json.loads(json.dumps({**record, "hashes": {name: digest(array) for name, array in arrays.items()}}))
+    text = json.dumps({**head, "hash": _seal(head)}, sort_keys=True)
     temporary = path.with_name(path.name + ".writing")
     try:
-        save_file(arrays, temporary, metadata={"lampopt": json.dumps(head, sort_keys=True)})
+        temporary.touch()
+        mode = temporary.stat().st_mode  # the user's: safetensors lets nobody else read
+        save_file(arrays, temporary, metadata={"lampopt": text})
+        temporary.chmod(mode)
         with open(temporary, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _plain(array: Array, name: str) -> Array:
+    """`array` as the format holds it: in one piece, little-endian, numbers or truth values."""
+    array = np.asarray(array, order="C")
+    if array.dtype.newbyteorder("=") not in [np.dtype(known) for known in DTYPES.values()]:
+        raise BankError(f"array {name!r}: a file holds numbers and truth values, got dtype {array.dtype}")
+    return array.astype(array.dtype.newbyteorder("<"), copy=False)
+
+
+def _seal(head: Mapping[str, Any]) -> str:
+    """A hash of a header as JSON gives it back."""
+    return hashlib.blake2b(json.dumps(head, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
 def read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -70,7 +107,9 @@ def read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     except (SafetensorError, KeyError, ValueError, RecursionError, OSError, struct.error) as error:
         raise BankError(f"{path}: expected a .lamp file, got something else or a damaged one: {error}") from error
     header.pop("__metadata__")
-    hashes = record.get("hashes") if isinstance(record, dict) else None
+    if not isinstance(record, dict) or record.pop("hash", None) != _seal(record):
+        raise BankError(f"{path}: its header is not what was written; the file is damaged")
+    hashes = record.get("hashes")
     if not isinstance(hashes, dict) or set(hashes) != set(header):
         raise BankError(f"{path}: its arrays are not those that its header lists; the file is damaged")
     arrays = {}
@@ -79,7 +118,10 @@ def read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
             raise BankError(f"{path}: array {name!r} has dtype {entry['dtype']}, expected one of {sorted(DTYPES)}")
         dtype, shape = np.dtype(DTYPES[entry["dtype"]]), tuple(entry["shape"])
         start = 8 + length + entry["data_offsets"][0]
-        mapped = np.memmap(path, dtype, "r", start, shape) if np.prod(shape) else np.empty(shape, dtype)
+        try:
+            mapped = np.memmap(path, dtype, "r", start, shape) if math.prod(shape) else np.zeros(shape, dtype)
+        except (ValueError, OverflowError, OSError) as error:
+            raise BankError(f"{path}: array {name!r} of shape {shape} cannot be mapped: {error}") from error
         arrays[name] = np.asarray(mapped)
         if digest(arrays[name]) != hashes[name]:
             raise BankError(f"{path}: array {name!r} is not what was written; the file is damaged")
@@ -120,8 +162,10 @@ def load_bank(path: str | Path) -> Bank:
     if record.get("format") != FORMAT:
         raise BankError(f"{path}: expected a bank, got {record.get('format')!r}")
     schema = record.get("schema")
-    if not isinstance(schema, int) or schema > SCHEMA:
-        raise BankError(f"{path}: schema {schema!r} is newer than this lampopt reads ({SCHEMA}): update lampopt")
+    if isinstance(schema, bool) or not isinstance(schema, int) or schema < 1:
+        raise BankError(f"{path}: expected a schema from 1 to {SCHEMA}, got {schema!r}")
+    if schema > SCHEMA:
+        raise BankError(f"{path}: schema {schema} is newer than this lampopt reads ({SCHEMA}): update lampopt")
     for step in range(schema, SCHEMA):
         record = MIGRATIONS[step](record)
     try:

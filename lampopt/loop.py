@@ -113,17 +113,17 @@ def sweep(
     StudyError
         Before anything is computed, if the study asks for what cannot be.
     """
-    return _Run.of(study, plugins).results(_combinations(study.sweep if grid is None else grid), folder, progress)
-
-
-def _combinations(grid: Grid) -> list[dict[str, Value]]:
-    if not grid:
+    if isinstance(grid, Mapping):
+        study = replace(study, sweep=grid)
+    changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else [dict(t) for t in grid]
+    if not changes:
         raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, got none")
-    if not isinstance(grid, Mapping):
-        return [dict(table) for table in grid]
-    for name, values in grid.items():
-        if isinstance(values, str) or len(values) == 0:
-            raise StudyError(f"sweep: {name}: expected a list of values, got {values!r}")
+    return _Run.of(study, plugins).results(changes, folder, progress)
+
+
+def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
+    if not grid:
+        return []
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
 
 
@@ -151,6 +151,8 @@ class _Run:
         for name, made in checkers.items():
             if not isinstance(made, Checker):
                 raise PluginError(f"check {name!r}: {made!r} lacks what lampopt.protocols.Checker asks for")
+            if made.needs not in LEVELS:
+                raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
         for name in study.measures:
             plugins.get("measure", name)
         return cls(study, bank, decoder_of(bank, plugins), solver, Limits.of(bank, study.limits), checkers, plugins)
@@ -160,7 +162,8 @@ class _Run:
     ) -> Iterator[Result]:
         """Check every target first, then yield the results one by one."""
         asked = [self._asked(change) for change in changes]
-        self._posed(asked[0])  # raises here, before the first design, what cannot be asked
+        for target in {tuple(target): target for target in asked}.values():  # one for each set of names
+            self._posed(target)  # raises here, before the first design, what cannot be asked
         return self._yield(asked, folder, progress)
 
     def _asked(self, change: Mapping[str, Value]) -> dict[str, float]:
@@ -205,8 +208,9 @@ class _Run:
                 checks += field_checks(self.bank, self.decoder, made, self.limits)
             if level == "mesh":
                 checks += mesh_checks(self.bank, self.decoder, made, self.study.resolution, self.limits, self.plugins)
-                if made.mesh is not None:
-                    checks += measure_checks(self.bank, made.mesh, self.study.measures, self.plugins)
+                if made.mesh is None:
+                    break  # nothing is left to be measured or judged
+                checks += measure_checks(self.bank, made.mesh, self.study.measures, self.plugins)
             checks += stranger_checks(self.bank, made, self.checkers, level)
         return Result(made, tuple(_unique(checks)), self._provenance())
 
@@ -251,6 +255,7 @@ class _Run:
                 "names": self.bank.names,
                 "measured_by": dict(self.bank.measured_by),
                 "mesh_facts": dict(self.bank.mesh_facts),
+                "frame": [self.bank.frame.scale, self.bank.frame.centre.tolist(), self.bank.frame.unit],
                 "bank": [lamp.digest(getattr(self.bank, name)) for name in lamp.PLAIN],
                 "shared": {name: lamp.digest(array) for name, array in self.bank.shared.items()},
                 "limits": [dict(study.limits), dict(self.bank.limits)],
@@ -259,8 +264,9 @@ class _Run:
                 "reference": study.reference,
                 "ranges": study.bounds(self.bank),
                 "hard": study.hard,
-                "measures": study.measures,
-                "checks": study.checks,
+                "measures": [str(self.plugins.get("measure", name)) for name in study.measures],
+                "checks": [str(self.plugins.get("check", name)) for name in study.checks],
+                "format": study.format,
                 "level": study.level,
                 "resolution": study.resolution,
                 "seed": study.seed,
@@ -281,7 +287,7 @@ class _Run:
 
 
 def _require(study: Study, plugins: Plugins) -> None:
-    present = {offer.distribution for offer in plugins.offers.values()} | {o.plugin for o in plugins.offers.values()}
+    present = {*plugins.owners, *(distribution for distribution, _ in plugins.owners.values())}
     if missing := [name for name in study.requires if name not in present]:
         raise PluginError(
             f"study requires {', '.join(missing)}, not installed; installed are {', '.join(sorted(present))}"

@@ -44,15 +44,31 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
         q = exemplars.space[index[parameter]]
         unit = filled(measure.units[place], exemplars.unit)
         values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
-        given = exemplars.parameters[:, index[parameter]]
-        if len(given) > 2 and np.ptp(given) > 0:
-            r2 = np.corrcoef(given, values[:, column])[0, 1] ** 2 if np.ptp(values[:, column]) > 0 else 0.0
-            if r2 < FOLLOWS:
-                raise InputError(
-                    f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
-                    f"expected {FOLLOWS}): it measures something else, or the table is wrong"
-                )
+        r2 = _follows(exemplars.parameters, index[parameter], values[:, column])
+        if r2 < FOLLOWS:
+            raise InputError(
+                f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
+                f"the other parameters' share taken out; expected {FOLLOWS}): it measures something else, or the table "
+                "is wrong"
+            )
     return values
+
+
+def _follows(parameters: Array, index: int, values: Array) -> float:
+    """R² of `values` (N,) on one parameter, both freed of what the other parameters explain where N allows.
+
+    A car's bounding width follows its width parameter, though its greenhouse moves it too.
+    """
+    given = parameters[:, index]
+    if len(given) < 3 or np.ptp(given) == 0:
+        return 1.0
+    others = np.delete(parameters, index, 1) - np.delete(parameters, index, 1).mean(0)
+    if len(given) < others.shape[1] + 4:
+        others = others[:, :0]
+    rest = [v - v.mean() for v in (given, values)]
+    rest = [v - others @ np.linalg.lstsq(others, v, rcond=None)[0] for v in rest]
+    size = float(np.linalg.norm(rest[0]) * np.linalg.norm(rest[1]))
+    return float(rest[0] @ rest[1] / size) ** 2 if size > 0 else 0.0
 
 
 def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:

@@ -96,7 +96,7 @@ class Plugins:
         block
             Entry-point names to leave out; by default those in the environment variable LAMPOPT_BLOCK.
         """
-        blocked = set(os.environ.get(BLOCK, "").split(",") if block is None else block)
+        blocked = {name.strip() for name in os.environ.get(BLOCK, "").split(",")} if block is None else set(block)
         manager = _manager()
         problems: list[Problem] = []
         owners: dict[str, tuple[str, str]] = {}
@@ -112,7 +112,7 @@ class Plugins:
                 continue
             try:
                 plugin = point.load()
-            except Exception as error:  # noqa: BLE001  # whatever a stranger's module raises on import
+            except (Exception, SystemExit) as error:  # noqa: BLE001  # whatever a stranger's module raises on import
                 problems.append(Problem(point.name, *owner, f"cannot be imported: {error!r}"))
                 continue
             _register(manager, point.name, plugin, owner, owners, problems)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -88,7 +89,7 @@ class Study:
     limits: Mapping[str, float] = field(default_factory=dict)
     level: Needs = "mesh"
     resolution: int = 128
-    sweep: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
+    sweep: Mapping[str, Sequence[Value]] = field(default_factory=dict)
     format: str = "stl"
     requires: tuple[str, ...] = ()
     seed: int = 0
@@ -96,6 +97,10 @@ class Study:
     def __post_init__(self) -> None:
         if not isinstance(self.bank, Bank | Path | str):
             raise StudyError(f"bank: expected a Bank or the path of a .lamp file, got {self.bank!r}")
+        if not isinstance(self.solver, str | Spec):
+            raise StudyError(f"solver: expected a name or a Spec, got {self.solver!r}")
+        if not isinstance(self.objective, Reduce | None):
+            raise StudyError(f"objective: expected Reduce(name, by=fraction), got {self.objective!r}")
         for name in ("keep", "hard", "measures", "checks", "requires"):
             _assign(self, name, _names(getattr(self, name), name))
         for name in ("targets", "limits"):
@@ -167,6 +172,8 @@ class Study:
         """
         import tomli_w
 
+        if "name" in Spec.of(self.solver).options:
+            raise StudyError(f"solver: {self.solver} has an option `name`, which TOML could not tell from the solver's")
         path = self.bank.path if isinstance(self.bank, Bank) else self.bank
         if path is None:
             raise StudyError("bank: is in no file, so TOML cannot name it: build it with store=, or use store_bank")
@@ -178,7 +185,7 @@ class Study:
             if isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
             elif isinstance(value, Mapping):
-                document[item.name] = {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()}
+                document[item.name] = {k: list(v) if isinstance(v, tuple) else _native(v) for k, v in value.items()}
             else:
                 document[item.name] = list(value) if isinstance(value, tuple) else value
         if self.objective is not None:
@@ -228,6 +235,8 @@ def _assign(study: Study, name: str, value: object) -> None:
 def _names(value: object, what: str) -> tuple[str, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
         raise StudyError(f"{what}: expected a list of names, got {value!r}")
+    if twice := sorted({v for v in value if value.count(v) > 1}):
+        raise StudyError(f"{what}: {', '.join(twice)} twice; name each once")
     return tuple(value)
 
 
@@ -238,13 +247,21 @@ def _table(value: object, what: str) -> Mapping[str, Any]:
 
 
 def _values(value: object, what: str) -> tuple[Value, ...]:
-    try:
-        found: tuple[Value, ...] = tuple(value)  # type: ignore[arg-type]  # any iterable of numbers or text will do, a numpy array too
-    except TypeError as error:
-        raise StudyError(f"{what}: expected a list of values, got {value!r}") from error
-    if isinstance(value, str) or not found:
+    if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
         raise StudyError(f"{what}: expected a list of values, got {value!r}")
-    return tuple(v if isinstance(v, str) else float(v) for v in found)
+    found = tuple(v if isinstance(v, str) else _native(v) for v in value)
+    if not found:
+        raise StudyError(f"{what}: expected a list of values, got none")
+    if wrong := [v for v in found if isinstance(v, bool) or not isinstance(v, str | int | float)]:
+        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {wrong[0]!r}")
+    return found
+
+
+def _native(value: object) -> Any:
+    """Numpy's numbers as Python's; everything else as it is."""
+    if isinstance(value, bool | int | float):
+        return value
+    return float(value) if isinstance(value, Real) else value
 
 
 def _spec(table: Mapping[str, Scalar]) -> Spec:

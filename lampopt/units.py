@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from numbers import Real
 
 from lampopt.errors import InputError
 
@@ -25,14 +26,22 @@ def factor(unit: str, to: str, what: str) -> float:
     """
     if unit == to:
         return 1.0
+    if _converted(0.0, unit, to, what) != 0:
+        raise InputError(f"{what}: [{unit}] and [{to}] have different zeros, no factor brings one to the other")
+    return _converted(1.0, unit, to, what)
+
+
+def _converted(value: float, unit: str, to: str, what: str) -> float:
+    if unit == to:
+        return value
     import pint
 
     registry = pint.get_application_registry()
     try:
-        return float(registry.Quantity(1.0, unit or "dimensionless").to(to or "dimensionless").magnitude)
-    except (pint.PintError, ValueError, TypeError, AttributeError) as error:
+        return float(registry.Quantity(value, unit or "dimensionless").to(to or "dimensionless").magnitude)
+    except Exception as error:  # pint's parser raises whatever Python's tokenizer does
         raise InputError(
-            f"{what}: cannot bring [{unit or 'dimensionless'}] to [{to or 'dimensionless'}]: {error}"
+            f"{what}: cannot bring [{unit or 'dimensionless'}] to [{to or 'dimensionless'}]: {error!r}"
         ) from error
 
 
@@ -48,7 +57,8 @@ def number(value: float | str, unit: str, what: str) -> float:
         found = _QUANTITY.fullmatch(value)
         if not found:
             raise InputError(f"{what}: expected a number or text such as '1420 mm', got {value!r}")
-        return number(float(found[1]) * (factor(found[2], unit, what) if found[2] else 1.0), unit, what)
-    if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == float("inf"):
+        return number(_converted(float(found[1]), found[2] or unit, unit, what), unit, what)
+    given: object = value  # numpy's numbers are welcome too
+    if isinstance(given, bool) or not isinstance(given, Real) or not abs(value) < float("inf"):
         raise InputError(f"{what}: expected a finite number or text such as '1420 mm', got {value!r}")
     return float(value)

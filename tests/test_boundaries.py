@@ -22,7 +22,7 @@ LAYERS = (
     {"units", "topology", "metrics", "meshfile", "protocols", "hookspecs"},
     {"plugins", "lamp", "progress"},
     {"measured"},
-    {"exemplars"},
+    {"exemplars", "measured"},
     {"bank"},
     {"solve"},
     {"mix"},

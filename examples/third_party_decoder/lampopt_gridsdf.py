@@ -1,7 +1,6 @@
 """Decoder `gridsdf`: the weights are signed distances at the nodes of a grid.
 
-Exactly linear in its weights: every mix has mismatch 0, which alone does not make a shape good.
-"""
+Exactly linear in them: every mix has mismatch 0, which alone does not make a shape good."""
 
 from dataclasses import dataclass
 
@@ -35,7 +34,8 @@ class GridSDF:
             if len(mesh.faces) == 0:
                 raise FitError(f"mesh {i}: expected a surface, got a mesh without faces")
             corners, kind = np.asarray(mesh.vertices), igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
-            weights[i] = igl.signed_distance(nodes, corners, np.asarray(mesh.faces), sign_type=kind)[0]
+            scaled, _, near, _ = igl.signed_distance(nodes, corners, np.asarray(mesh.faces), sign_type=kind)
+            weights[i] = np.copysign(np.linalg.norm(nodes - near, axis=1), scaled)
             error[i] = np.abs(self.evaluate(shared, weights[i], corners)).mean()
         return weights, error
 

@@ -40,7 +40,9 @@ def draw(mesh: Trimesh, count: int, seed: np.random.SeedSequence) -> tuple[Array
     parts.append(rng.uniform(-1, 1, (count - sum(map(len, parts)), 3)))
     points = np.concatenate(parts)
     kind = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
-    distances = igl.signed_distance(points, vertices, faces, kind)[0]
+    # with this kind libigl scales the distance by the approximate winding number: take its sign alone
+    scaled, _, closest, _ = igl.signed_distance(points, vertices, faces, kind)
+    distances = np.copysign(np.linalg.norm(points - closest, axis=1), scaled)
     if not (distances < 0).any():
         raise FitError(f"{name}: encloses nothing; close the surface or turn its faces outward")
     return points.astype(np.float32), distances.astype(np.float32), on_surface(vertices, faces, count // 4, rng)

@@ -1,0 +1,352 @@
+"""Fields to meshes: closed forms, the dense grid as reference, and a count of what was evaluated."""
+
+import igl
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lampopt.decode import decode, field_to_mesh, field_to_mesh_dense
+from lampopt.errors import EmptyMesh, InputError
+from lampopt.testing import shapes
+from lampopt.topology import topology
+from lampopt.types import Bank, Frame, Parameter, Spec
+
+BOX = np.array([[-1.0] * 3, [1.0] * 3])
+LONG = np.array([[-1.3, -0.5, -0.4], [1.0, 0.55, 0.5]])  # no side is a multiple of a cell
+MESHERS = pytest.mark.parametrize("mesher", [field_to_mesh, field_to_mesh_dense])
+
+
+def ball(centre=(0.0, 0.0, 0.0), radius=0.5):
+    return lambda p: np.linalg.norm(p - np.asarray(centre), axis=1) - radius
+
+
+def block(centre, half):
+    def field(p):
+        q = np.abs(p - np.asarray(centre)) - half
+        return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(1), 0)
+
+    return field
+
+
+def torus(major=0.5, minor=0.2):
+    return lambda p: np.hypot(np.hypot(p[:, 0], p[:, 1]) - major, p[:, 2]) - minor
+
+
+def union(*fields):
+    return lambda p: np.min([f(p) for f in fields], 0)
+
+
+def waves(seed, frequency=6.0):
+    """A sum of sines, slope at most 1: many bodies, handles and saddles."""
+    draw = np.random.default_rng(seed)
+    k, phase, size = draw.normal(0, frequency, (8, 3)), draw.uniform(0, 6, 8), draw.normal(size=8)
+    size /= (np.abs(size) * np.linalg.norm(k, axis=1)).sum()
+    return lambda p: np.sin(p @ k.T + phase) @ size
+
+
+FIELDS = {
+    "sphere": (ball((0.03, 0.01, -0.02)), BOX),
+    "torus": (torus(), BOX),
+    "thin plate": (block((0.011, 0.02, 0.003), (0.6, 0.4, 0.06)), BOX),
+    "two very different": (union(ball((-0.3, 0, 0)), ball((0.61, 0.53, 0.57), 0.07)), BOX),
+    "hollow": (lambda p: np.abs(np.linalg.norm(p, axis=1) - 0.5) - 0.1, BOX),
+    "steep": (lambda p: 40 * ball()(p), BOX),
+    "steep at the surface alone": (lambda p: np.tanh(20 * ball()(p)), BOX),
+    "steep inside alone": (lambda p: np.where(ball()(p) < 0, 30, 1) * ball()(p), BOX),
+    "gentle": (lambda p: 0.2 * ball()(p), BOX),
+    "cut by the box": (ball((0.7, 0, 0)), BOX),
+    "cut by a corner": (ball((1, 1, 1), 0.7), BOX),
+    "long box": (ball((0.1, 0, 0.05), 0.3), LONG),
+    "long box, cut": (block((0, 0, 0), (2, 0.2, 0.25)), LONG),
+    "waves": (waves(1, 4), BOX),
+}
+
+
+def apart(a, b):
+    """The largest distance of a vertex or face centre of either mesh to the other's surface."""
+
+    def one(a, b):
+        points = np.concatenate([np.asarray(a.vertices), np.asarray(a.triangles_center)])
+        return igl.point_mesh_squared_distance(points, np.asarray(b.vertices), np.asarray(b.faces, np.int64))[0].max()
+
+    return float(np.sqrt(max(one(a, b), one(b, a))))
+
+
+def nodes(bounds, resolution):
+    pitch = (bounds[1] - bounds[0]).max() / resolution
+    axes = [low + pitch * np.arange(int((high - low) / pitch + 1e-9) + 1) for low, high in bounds.T]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), pitch
+
+
+def is_where_the_field_says(mesh, field, bounds, resolution):
+    """Whether every node of the grid lies on the side of the surface that the field's sign tells, the box's hull out.
+
+    The winding number is 1 inside an outward surface, 0 outside, so this also says that no wall is missing, doubled or
+    turned round.
+    """
+    points, pitch = nodes(bounds, resolution)
+    inner = (np.minimum(points - bounds[0], bounds[1] - points) > 0.6 * pitch).all(1)
+    points = points[inner]
+    values = field(points)
+    turns = igl.winding_number(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64), points)
+    clear = np.abs(values) > 2e-3 * pitch
+    return bool((np.abs(turns - (values < 0))[clear] < 1e-6).all())
+
+
+def counted(field):
+    count = [0]
+
+    def counting(points):
+        count[0] += len(points)
+        return field(points)
+
+    return counting, count
+
+
+@pytest.mark.parametrize("resolution", [21, 32, 43])
+@pytest.mark.parametrize("name", FIELDS)
+def test_sparse_is_dense(name, resolution):
+    field, bounds = FIELDS[name]
+    pitch = (bounds[1] - bounds[0]).max() / resolution
+    sparse, dense = (mesher(field, bounds, resolution) for mesher in (field_to_mesh, field_to_mesh_dense))
+    assert topology(sparse).closed
+    assert topology(sparse) == topology(dense)
+    assert sparse.is_winding_consistent
+    assert is_where_the_field_says(sparse, field, bounds, resolution)
+    assert sparse.volume == pytest.approx(dense.volume, abs=2e-2 * pitch * dense.area)
+    assert apart(sparse, dense) < 0.25 * pitch
+    assert (sparse.bounds[0] >= bounds[0]).all()
+    assert (sparse.bounds[1] <= bounds[1]).all()
+
+
+@MESHERS
+@pytest.mark.parametrize("resolution", [24, 40, 64])
+def test_sphere(mesher, resolution):
+    radius, mesh = 0.7, mesher(ball((0.05, -0.02, 0.01), 0.7), BOX, resolution)
+    pitch = 2 / resolution
+    off = np.linalg.norm(np.asarray(mesh.vertices) - [0.05, -0.02, 0.01], axis=1) - radius
+    # along an edge of length h the distance is at most h²/2r from straight, so its zero is off by at most h²/8r
+    # over the least slope met there
+    assert np.abs(off).max() < 0.5 * pitch**2 / radius
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=(pitch / radius) ** 2)
+    assert mesh.area == pytest.approx(4 * np.pi * radius**2, rel=(pitch / radius) ** 2)
+    assert (topology(mesh).bodies, topology(mesh).genus) == (1, 0)
+
+
+@MESHERS
+def test_torus_has_one_handle(mesher):
+    mesh = mesher(torus(0.55, 0.2), BOX, 56)
+    assert (topology(mesh).bodies, topology(mesh).genus) == (1, 1)
+    assert mesh.volume == pytest.approx(2 * np.pi**2 * 0.55 * 0.2**2, rel=0.01)
+
+
+@MESHERS
+def test_plate_thinner_than_a_coarse_cell_keeps_its_sizes(mesher):
+    half = np.array([0.61, 0.43, 0.02])  # 0.04 thick; a coarse cell is 0.0625
+    mesh = mesher(block((0.011, 0.02, 0.003), half), BOX, 96)
+    assert (topology(mesh).bodies, topology(mesh).genus) == (1, 0)
+    assert mesh.extents == pytest.approx(2 * half, abs=0.2 * 2 / 96)
+    assert mesh.volume == pytest.approx(8 * half.prod(), rel=0.05)
+
+
+@MESHERS
+@pytest.mark.parametrize("factor", [1.0, 7.0, 40.0, 1000.0])
+def test_a_factor_on_the_field_changes_nothing(mesher, factor):
+    # linear interpolation between nodes has the same zero for f and c·f; depth must not be bent by the box's walls
+    plain, scaled = (mesher(lambda p, c=c: c * ball((0.1, 0, 0))(p), BOX, 40) for c in (1.0, factor))
+    assert scaled.volume == pytest.approx(plain.volume, rel=1e-4)
+    assert apart(plain, scaled) < 2e-3 * 2 / 40  # values within a thousandth of a cell are moved off zero
+
+
+@MESHERS
+@pytest.mark.parametrize("resolution", [32, 50])
+def test_a_half_space_is_closed_at_the_box(mesher, resolution):
+    pitch = 2 / resolution
+    mesh = mesher(lambda p: p[:, 0] - 0.303, BOX, resolution)
+    # closed half a cell inside the box; rims lose what marching cubes cuts off an edge, at most half a cell² along it
+    exact = (1.303 - pitch / 2) * (2 - pitch) ** 2
+    assert topology(mesh).closed
+    assert mesh.extents == pytest.approx([1.303 - pitch / 2, 2 - pitch, 2 - pitch], abs=1e-6)
+    assert exact - 0.5 * pitch**2 * 4 * (mesh.extents.sum()) <= mesh.volume <= exact + 1e-9
+
+
+@MESHERS
+def test_a_sphere_cut_by_the_box_is_a_cap_less(mesher):
+    resolution = 64
+    edge, radius, centre = 1 - 1 / resolution, 0.5, 0.7
+    cap = radius - (edge - centre)  # its height
+    exact = 4 / 3 * np.pi * radius**3 - np.pi * cap**2 * (3 * radius - cap) / 3
+    mesh = mesher(ball((centre, 0, 0), radius), BOX, resolution)
+    assert topology(mesh).closed
+    assert mesh.bounds[1, 0] == pytest.approx(edge)
+    assert mesh.volume == pytest.approx(exact, rel=0.005)
+
+
+@MESHERS
+def test_a_box_full_of_solid_is_the_box(mesher):
+    mesh = mesher(lambda p: np.full(len(p), -5.0), LONG, 40)
+    pitch = 2.3 / 40
+    assert topology(mesh) == topology(shapes.box())
+    assert mesh.extents == pytest.approx(LONG[1] - LONG[0] - pitch)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), resolution=st.integers(5, 30), frequency=st.floats(2, 15))
+def test_ambiguous_cells_leave_no_seam(seed, resolution, frequency):
+    field = waves(seed, frequency)
+    values = field(nodes(BOX, resolution)[0])
+    mesh = field_to_mesh(field, BOX, resolution) if values.min() < 0 else None
+    if mesh is not None:
+        assert topology(mesh).closed
+        assert is_where_the_field_says(mesh, field, BOX, resolution)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_leaves_no_seam(seed):
+    # every cell is as likely to be ambiguous as can be
+    noise = np.random.default_rng(seed).normal(size=(14, 14, 14))
+
+    def field(p):
+        at = np.round((p + 1) * 6.5).astype(int)
+        return 0.05 * noise[at[:, 0], at[:, 1], at[:, 2]]
+
+    mesh = field_to_mesh(field, BOX, 13)
+    assert topology(mesh).closed
+    assert is_where_the_field_says(mesh, field, BOX, 13)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    centre=st.tuples(*[st.floats(-0.9, 0.9)] * 3).filter(lambda c: np.linalg.norm(c) > 0.4),
+    radius=st.floats(0.015, 0.03),
+    steep=st.sampled_from([1.0, 1.0, 5.0]),
+)
+def test_a_lump_between_the_nodes_of_the_coarse_lattice_is_found(centre, radius, steep):
+    # 32 coarse cells of 0.0625: a lump 0.03 to 0.06 wide fits between their nodes, and no node need lie in it
+    lump = ball(centre, radius)
+    mesh = field_to_mesh(union(ball(radius=0.3), lambda p: steep * lump(p)), BOX, 128)
+    assert topology(mesh).bodies == 2
+    small = min(mesh.split(only_watertight=True), key=lambda m: m.volume)
+    assert small.centroid == pytest.approx(centre, abs=1 / 128)
+
+
+def test_a_lump_alone_in_the_box_is_found():
+    centre = np.array([0.03125, 0.03125, 0.03125]) * 9  # in the middle of a coarse cell
+    mesh = field_to_mesh(ball(centre, 0.02), BOX, 256)
+    assert topology(mesh).bodies == 1
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.15)
+
+
+@pytest.mark.parametrize(("resolution", "share"), [(96, 0.15), (128, 0.1), (256, 0.05)])
+@pytest.mark.parametrize("name", ["sphere", "torus", "thin plate", "two very different", "steep"])
+def test_few_points_are_evaluated(name, resolution, share):
+    field, bounds = FIELDS[name]
+    counting, count = counted(field)
+    field_to_mesh(counting, bounds, resolution)
+    assert count[0] < share * (resolution + 1) ** 3
+
+
+def test_the_work_grows_with_the_surface_not_with_the_volume():
+    work = []
+    for resolution in (128, 256):
+        counting, count = counted(ball())
+        field_to_mesh(counting, BOX, resolution)
+        work.append(count[0])
+    assert work[1] / work[0] < 5  # 4 for a surface, 8 for a volume
+
+
+@MESHERS
+def test_points_outside_the_box_are_never_asked_for(mesher):
+    seen = []
+    mesher(lambda p: seen.append((p.min(0), p.max(0))) or ball((0.1, 0, 0), 0.3)(p), LONG, 37)
+    assert (np.min([low for low, _ in seen], 0) >= LONG[0]).all()
+    assert (np.max([high for _, high in seen], 0) <= LONG[1]).all()
+
+
+@MESHERS
+def test_no_sliver_where_the_surface_passes_through_nodes(mesher):
+    mesh = mesher(block((0, 0, 0), (0.5, 0.25, 0.75)), BOX, 32)  # all six faces on planes of nodes
+    assert topology(mesh) == topology(shapes.box())
+    assert mesh.area_faces.min() > 0
+    assert mesh.extents == pytest.approx([1.0, 0.5, 1.5], abs=1e-3)
+
+
+def test_meshes_repeat_to_the_bit():
+    a, b = (field_to_mesh(FIELDS["waves"][0], BOX, 30) for _ in range(2))
+    assert np.array_equal(a.vertices, b.vertices)
+    assert np.array_equal(a.faces, b.faces)
+
+
+@MESHERS
+@pytest.mark.parametrize("value", [1.0, 1e-6, 0.0])
+def test_a_field_without_inside_is_empty(mesher, value):
+    with pytest.raises(EmptyMesh, match="does not change sign"):
+        mesher(lambda p: np.full(len(p), value), BOX, 16)
+
+
+@MESHERS
+def test_a_body_outside_the_box_is_empty(mesher):
+    with pytest.raises(EmptyMesh):
+        mesher(ball((2, 2, 2)), BOX, 20)
+
+
+@MESHERS
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(mesher, bad):
+    with pytest.raises(InputError, match="finite"):
+        mesher(lambda p: np.where(p[:, 0] > 0.4, bad, ball()(p)), BOX, 16)
+
+
+@MESHERS
+def test_one_value_a_point_is_asked_for(mesher):
+    with pytest.raises(InputError, match=r"one value for each of \d+ points, got \d+"):
+        mesher(lambda p: ball()(p)[:-1], BOX, 16)
+    with pytest.raises(InputError, match=r"one value for each of \d+ points, got \d+"):
+        mesher(lambda p: p, BOX, 16)
+    assert mesher(lambda p: ball()(p)[:, None], BOX, 16).is_watertight
+
+
+@MESHERS
+@pytest.mark.parametrize(
+    "bounds",
+    [BOX[0], BOX[::-1], BOX * np.nan, BOX * np.inf, np.array([[0, 0, 0], [1, 1, 0]]), np.zeros((3, 2))],
+    ids=["flat", "turned", "nan", "infinite", "without height", "transposed"],
+)
+def test_bad_bounds(mesher, bounds):
+    with pytest.raises(InputError, match=r"bounds: expected \(2, 3\)"):
+        mesher(ball(), bounds, 16)
+
+
+@MESHERS
+@pytest.mark.parametrize("resolution", [-1, 0, 3, 4097])
+def test_bad_resolution(mesher, resolution):
+    with pytest.raises(InputError, match=f"resolution: expected 4 to 4096 cells along the box, got {resolution}"):
+        mesher(ball(), BOX, resolution)
+
+
+class Ball:
+    """A decoder whose one weight is a radius."""
+
+    bounds = BOX
+
+    def decode(self, shared, weights, *, resolution):
+        return field_to_mesh(ball(shared["centre"], float(weights[0])), BOX, resolution)
+
+
+def test_decode_answers_in_the_users_unit_and_place():
+    frame = Frame(0.001, np.array([1000.0, 2000.0, 0.0]), "mm")
+    bank = Bank(
+        (Parameter("r", "mm", 300.0, 500.0),), np.array([[300.0], [500.0]]), (), np.empty((2, 0)), ("a", "b"),
+        np.array([[0.3], [0.5]], np.float32), {"centre": np.array([0.1, 0, 0])}, frame, Spec("ball"),
+        np.zeros((1, 3)), np.zeros((2, 1, 1)), np.zeros(2),
+    )  # fmt: skip
+    mesh = decode(bank, Ball(), np.array([0.4], np.float32), resolution=64)
+    assert isinstance(mesh, trimesh.Trimesh)
+    assert mesh.units == "mm"
+    assert mesh.bounds == pytest.approx(np.array([[700, 1600, -400], [1500, 2400, 400]]), abs=2)
+    with pytest.raises(InputError, match=r"weights: expected shape \(1,\), got \(2,\)"):
+        decode(bank, Ball(), np.ones(2, np.float32))
+    with pytest.raises(EmptyMesh):
+        decode(bank, Ball(), np.array([-0.4], np.float32))
