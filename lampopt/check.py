@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import MeasureError, StudyError
+from lampopt.errors import EmptyMesh, MeasureError, StudyError
 from lampopt.measured import resolve_address
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
@@ -117,7 +117,7 @@ def mesh_checks(
     mesh = design.mesh
     faces = 0 if mesh is None else len(mesh.faces)
     found = [Check("mesh", float(faces), ">=", 1.0, "faces", "mesh", "" if faces else "the field has no surface")]
-    if mesh is None:
+    if mesh is None or not faces:
         return found
     shape = topology(mesh)
     found.append(Check("watertight", float(shape.closed), "=", 1.0, "", "mesh"))
@@ -165,7 +165,7 @@ def drift_checks(bank: Bank, alpha: Array, mesh: Trimesh, limits: Limits, plugin
         limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
         try:
             value = known(address, bank.frame.unit, unit)
-        except MeasureError as error:
+        except (MeasureError, EmptyMesh) as error:
             found.append(Check(f"drift.{parameter}", float("nan"), "<=", limit, unit, "mesh", f"{address}: {error}"))
             continue
         note = f"{address} {value:.6g}, predicted {expected:.6g}"
@@ -178,7 +178,7 @@ class _Measured:
 
     def __init__(self, mesh: Trimesh, plugins: Plugins) -> None:
         self._mesh, self._plugins = mesh, plugins
-        self._values: dict[str, Array | MeasureError] = {}
+        self._values: dict[str, Array | MeasureError | EmptyMesh] = {}
 
     def __call__(self, address: str, length: str, unit: str) -> float:
         _, measure, place = resolve_address(address, self._plugins)
@@ -186,10 +186,10 @@ class _Measured:
         if name not in self._values:
             try:
                 self._values[name] = np.asarray(measure(self._mesh), float)
-            except MeasureError as error:
+            except (MeasureError, EmptyMesh) as error:
                 self._values[name] = error
         values = self._values[name]
-        if isinstance(values, MeasureError):
+        if isinstance(values, (MeasureError, EmptyMesh)):
             raise values
         return float(values[place]) * factor(filled(measure.units[place], length), unit, address)
 
@@ -203,7 +203,7 @@ def measure_checks(bank: Bank, mesh: Trimesh, measures: Sequence[str], plugins: 
             raise StudyError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
         try:
             values, note = np.asarray(measure(mesh), float), ""
-        except MeasureError as error:
+        except (MeasureError, EmptyMesh) as error:
             values, note = np.full(len(measure.names), np.nan), str(error)
         for value, label, unit in zip(values, measure.names, measure.units, strict=True):
             found.append(

@@ -11,6 +11,7 @@ import math
 import os
 import struct
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +54,9 @@ def write(path: Path, arrays: Mapping[str, Array], record: Mapping[str, Any]) ->
     Raises
     ------
     BankError
-        If an array is of a kind that the format does not know.
+        If an array is of a kind that the format does not know, or the place cannot be written.
     """
+    from safetensors import SafetensorError
     from safetensors.numpy import save_file
 
     arrays = {name: _plain(array, name) for name, array in arrays.items()}
@@ -69,8 +71,11 @@ def write(path: Path, arrays: Mapping[str, Array], record: Mapping[str, Any]) ->
         with open(temporary, "rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
+    except (OSError, SafetensorError) as error:
+        raise BankError(f"{path}: cannot be written: {error}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _plain(array: Array, name: str) -> Array:

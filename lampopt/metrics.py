@@ -45,10 +45,12 @@ def iou(a: Trimesh, b: Trimesh, resolution: int = 64) -> float:
     Raises
     ------
     InputError
-        If neither holds a voxel.
+        If one has no faces, or neither holds a voxel.
     """
     import igl
 
+    if not (len(a.faces) and len(b.faces)):
+        raise InputError(f"iou: expected meshes with faces, got {len(a.faces)} and {len(b.faces)}")
     low = np.minimum(a.bounds[0], b.bounds[0])
     size = np.maximum(a.bounds[1], b.bounds[1]) - low
     pitch = float(size.max()) / resolution

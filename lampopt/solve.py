@@ -63,7 +63,8 @@ def column(bank: Bank, name: str) -> Column:
     if np.isnan(found.values).all():
         raise StudyError(f"{name!r}: no exemplar of this bank has a value for it")
     if found.spread == 0:
-        raise StudyError(f"{name!r}: all exemplars have {found.low:g} {found.unit}: no mix can change it")
+        value = f"{found.low:g} {found.unit}".rstrip()
+        raise StudyError(f"{name!r}: all exemplars have {value}: no mix can change it")
     return found
 
 

@@ -120,7 +120,7 @@ class Pass:
                 if self.network.activation == "sine":
                     back.mul_(torch.cos(self._before[k - 1][:, :m])).mul_(self.network.omega)
                 else:
-                    back.mul_(hidden > 0)
+                    torch.ops.aten.threshold_backward.grad_input(back, hidden, 0, grad_input=back)
                 gradient = back
 
 

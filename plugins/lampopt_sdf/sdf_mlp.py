@@ -56,11 +56,11 @@ class SdfMlp:
 
     width: int = 96
     depth: int = 4
-    octaves: int = 4
+    octaves: int = 2
     activation: str = "relu"
     start_steps: int = 3000
-    steps: int = 500
-    points: int = 4096
+    steps: int = 800
+    points: int = 2048
     samples: int = 100_000
     learning_rate: float = 0.0
     tolerance: float = 1e-4

@@ -1,0 +1,126 @@
+"""Units: what L stands for, factors by the definitions of the units, text as users write it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lampopt.errors import InputError
+from lampopt.units import factor, filled, number
+
+
+@pytest.mark.parametrize(
+    ("declared", "length", "full"),
+    [
+        ("L", "mm", "mm"),
+        ("L^2", "mm", "mm^2"),
+        ("L^3", "inch", "inch^3"),
+        ("kg/L^3", "m", "kg/m^3"),
+        ("1/L", "m", "1/m"),
+        ("L*L^2", "m", "m*m^2"),
+        ("deg", "m", "deg"),
+        ("", "m", ""),
+        ("kL", "m", "kL"),  # a litre is no length
+        ("Lm", "m", "Lm"),
+    ],
+)
+def test_l_is_the_meshs_length(declared, length, full):
+    assert filled(declared, length) == full
+
+
+@pytest.mark.parametrize(
+    ("unit", "to", "value"),
+    [
+        ("m", "mm", 1000),
+        ("inch", "mm", 25.4),
+        ("ft", "m", 0.3048),
+        ("m^2", "mm^2", 1e6),
+        ("mm^3", "m^3", 1e-9),
+        ("deg", "rad", math.pi / 180),
+        ("rad", "deg", 180 / math.pi),
+        ("N", "kg*m/s^2", 1),
+        ("lbf", "N", 4.4482216152605),
+        ("km/h", "m/s", 1 / 3.6),
+        ("", "", 1),
+        ("percent", "", 0.01),
+        ("whatever it is", "whatever it is", 1),  # the same on both sides needs no meaning
+    ],
+)
+def test_factor(unit, to, value):
+    assert factor(unit, to, "x") == pytest.approx(value, rel=1e-12)
+
+
+@given(st.sampled_from(["m", "mm", "inch", "ft", "km"]), st.sampled_from(["m", "mm", "inch", "ft", "km"]))
+def test_there_and_back(a, b):
+    assert factor(a, b, "x") * factor(b, a, "x") == pytest.approx(1, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "to"),
+    [("m", "kg"), ("m", "m^2"), ("", "m"), ("m", ""), ("nonsense", "m"), ("m", "nonsense"), ("!!", "m"), ("m)", "m")],
+)
+def test_what_cannot_become_the_other_is_named(unit, to):
+    said = rf"^roof: cannot bring \[{unit or 'dimensionless'}\] to \[{to or 'dimensionless'}\]: ".replace("m)", r"m\)")
+    with pytest.raises(InputError, match=said.replace("^2", r"\^2")):
+        factor(unit, to, "roof")
+
+
+def test_no_factor_leads_from_celsius_to_kelvin():
+    for pair in (("degC", "K"), ("K", "degC"), ("degF", "degC")):
+        with pytest.raises(InputError, match="different zeros"):
+            factor(*pair, "x")
+    assert factor("degC", "degC", "x") == 1
+    assert number("20 degC", "degC", "x") == 20
+    assert number("293.15 K", "degC", "x") == pytest.approx(20)  # a value has a zero to count from
+    assert number("50 degF", "degC", "x") == pytest.approx(10)
+
+
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [
+        (1.42, 1.42),
+        (1, 1.0),
+        (-3, -3.0),
+        ("1.42", 1.42),
+        ("1420 mm", 1.42),
+        ("1420mm", 1.42),
+        ("  1420  mm  ", 1.42),
+        ("-0.5 m", -0.5),
+        ("+0.5 m", 0.5),
+        (".5 m", 0.5),
+        ("5. m", 5.0),
+        ("1e3 mm", 1.0),
+        ("1.5E-3 km", 1.5),
+        ("10 inch", 0.254),
+        (np.float64(2), 2.0),
+        (np.float32(0.5), 0.5),
+        (np.int64(2), 2.0),
+    ],
+)
+def test_numbers_and_text(given, value):
+    found = number(given, "m", "roof")
+    assert type(found) is float
+    assert found == pytest.approx(value, rel=1e-12)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_any_float_survives_as_text(value):
+    assert number(repr(value), "m", "x") == value == number(value, "m", "x")
+    assert number(f"{value!r} m", "m", "x") == value
+
+
+@pytest.mark.parametrize("unit", ["", "deg"])
+def test_text_without_a_unit_is_in_the_parameters(unit):
+    assert number("12", unit, "ramp") == 12
+
+
+@pytest.mark.parametrize(
+    "given",
+    ["", " ", "mm", "m 3", "nan", "inf", "-inf m", "1e400", "1e400 m", None, True, False, [1.0], float("nan"),
+     float("inf"), 1j, b"1 m", "1,5 m", "1 420 mm", "0x10 m", "1 kg", "1 m^2", "1 m; rm"],
+)  # fmt: skip
+def test_anything_else_is_refused(given):
+    with pytest.raises(InputError, match=r"^roof: "):
+        number(given, "m", "roof")
