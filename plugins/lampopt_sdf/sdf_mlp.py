@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from lampopt_sdf.network import Network
     from lampopt_sdf.training import Samples
 
-RATES = {"relu": 3e-3, "sine": 3e-4}  # first learning rate of Adam
+RATES = {"relu": 2e-3, "sine": 2e-4}  # first learning rate of Adam for an exemplar
+FRESH = 1.5  # times that for weights that start at random
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class SdfMlp:
     width, depth
         Of the hidden layers.
     octaves
-        Fourier features sin, cos of 2^k πz for k below it; 0 leaves z alone.
+        Fourier features sin, cos of 2^k πz for k below it; 0 leaves z alone. Few: a network that knows only low
+        frequencies has to move its surface where one with many redraws it, and moving is what extrapolates.
     activation
         "relu" (the paper's) or "sine" (SIREN; take octaves=0).
     start_steps, steps
@@ -43,7 +45,7 @@ class SdfMlp:
     samples
         Points drawn about each exemplar, once.
     learning_rate
-        0: what suits the activation.
+        Adam's first, for exemplars; the shared start takes FRESH times that. 0: what suits the activation.
     tolerance
         Mean surface error at which an exemplar is finished [box]; 0: never before `steps`.
     shared_start
@@ -59,8 +61,8 @@ class SdfMlp:
     octaves: int = 2
     activation: str = "relu"
     start_steps: int = 3000
-    steps: int = 800
-    points: int = 2048
+    steps: int = 500
+    points: int = 4096
     samples: int = 100_000
     learning_rate: float = 0.0
     tolerance: float = 1e-4
@@ -101,7 +103,7 @@ class SdfMlp:
         first = self._network().initial(np.random.default_rng([seed, 0]))
         if not self.shared_start:
             return {"start": first}
-        weights, _ = self._train(first[None], [mean], seed, self.start_steps, None)
+        weights, _ = self._train(first[None], [mean], seed, self.start_steps, FRESH, None)
         return {"start": weights[0]}
 
     def fit(
@@ -110,10 +112,10 @@ class SdfMlp:
         """Weights (n, D) and mean surface errors (n,) [box] of a batch, in batched matrix products."""
         if self.shared_start:
             start = np.repeat(self._checked(shared)[None], len(meshes), 0)
-            return self._train(start, meshes, seed, self.steps, progress)
+            return self._train(start, meshes, seed, self.steps, 1.0, progress)
         keys = [np.random.SeedSequence(seed, spawn_key=_key(mesh)) for mesh in meshes]
         start = np.stack([self._network().initial(np.random.default_rng(key)) for key in keys])
-        return self._train(start, meshes, seed, self.start_steps + self.steps, progress)
+        return self._train(start, meshes, seed, self.start_steps + self.steps, FRESH, progress)
 
     def evaluate(self, shared: Shared, weights: Array, points: Array) -> Array:
         """Signed distances (..., M, 1) of weights (..., D) at points (M, 3) [box]."""
@@ -154,7 +156,7 @@ class SdfMlp:
         return np.asarray(shared["start"], np.float32)
 
     def _train(
-        self, start: Array, meshes: Sequence[Trimesh], seed: int, steps: int, progress: Progress | None
+        self, start: Array, meshes: Sequence[Trimesh], seed: int, steps: int, hurry: float, progress: Progress | None
     ) -> tuple[Array, Array]:
         from lampopt_sdf.training import train
 
@@ -168,7 +170,7 @@ class SdfMlp:
             orders or [np.random.default_rng([seed, 2])],
             steps=steps,
             points=self.points,
-            rate=self.learning_rate or RATES[self.activation],
+            rate=hurry * (self.learning_rate or RATES[self.activation]),
             tolerance=self.tolerance,
             progress=progress,
         )

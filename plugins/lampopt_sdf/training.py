@@ -13,7 +13,7 @@ from lampopt.types import Array
 from lampopt_sdf.network import BLOCK, Network, Pass
 
 WARM_UP = 50  # steps
-NEAR = 0.02  # distance at which a point weighs half of one on the surface [box]
+NEAR = 0.05  # distance at which a point weighs half of one on the surface [box]
 LOOK = 50  # steps between looks at the reached error
 
 
