@@ -62,9 +62,9 @@ def field_to_mesh(field: Field, bounds: Array, resolution: int) -> Trimesh:
     Raises
     ------
     EmptyMesh
-        If the field does not change sign in the box.
+        If the field does not change sign in the box, or is not finite there.
     InputError
-        If an argument does not fit, or the field yields values that are not finite.
+        If an argument does not fit.
     """
     import igl
     from trimesh import Trimesh
@@ -132,7 +132,7 @@ def _steady(field: Field, bounds: Array) -> Field:
         if len(values) != len(points):
             raise InputError(f"field: expected one value for each of {len(points)} points, got {len(values)}")
         if not np.isfinite(values).all():
-            raise InputError("field: expected finite values, got NaN or infinity; the weights are not usable")
+            raise EmptyMesh("the field is not finite: the mix lies too far out, there is no surface to extract")
         return values
 
     return steady

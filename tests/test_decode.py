@@ -239,6 +239,22 @@ def test_a_lump_alone_in_the_box_is_found():
     assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.15)
 
 
+@pytest.mark.parametrize("off", [0.0, 0.008, 0.02])
+@pytest.mark.parametrize("steep", [5, 50])
+def test_a_spot_steeper_than_was_seen_leaves_no_hole(off, steep):
+    # in the middle of a coarse cell, `off` the surface, the field rises much faster than at any node of the lattice;
+    # the zeros are the sphere's
+    spot = -1 + 0.0625 * (np.array([27, 18, 15]) + 0.5)
+    sphere = ball(radius=float(np.linalg.norm(spot)) - off)
+
+    def field(p):
+        return sphere(p) * (1 + steep * np.exp(-((p - spot) ** 2).sum(1) / 0.012**2))
+
+    mesh = field_to_mesh(field, BOX, 128)
+    assert topology(mesh) == topology(shapes.ellipsoid())
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * (np.linalg.norm(spot) - off) ** 3, rel=1e-3)
+
+
 @pytest.mark.parametrize(("resolution", "share"), [(96, 0.15), (128, 0.1), (256, 0.05)])
 @pytest.mark.parametrize("name", ["sphere", "torus", "thin plate", "two very different", "steep"])
 def test_few_points_are_evaluated(name, resolution, share):
@@ -295,7 +311,7 @@ def test_a_body_outside_the_box_is_empty(mesher):
 @MESHERS
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite_are_refused(mesher, bad):
-    with pytest.raises(InputError, match="finite"):
+    with pytest.raises(EmptyMesh, match="finite"):
         mesher(lambda p: np.where(p[:, 0] > 0.4, bad, ball()(p)), BOX, 16)
 
 

@@ -347,6 +347,29 @@ def test_the_nearest_is_returned_where_rows_clash(hard):
     np.testing.assert_allclose(mix.residual, [-0.1, 0.1], atol=1e-12)
 
 
+@pytest.mark.parametrize("copies", [1, 2])
+def test_a_soft_row_that_only_repeats_hard_ones_gives_way(copies):
+    # what is left of it beside the hard rows is rounding, no direction to move in
+    draw = np.random.default_rng(0)
+    hard = draw.uniform(-1, 1, (2, 9))
+    soft = draw.uniform(0.5, 2, (copies, 2)) @ hard
+    p = Problem(names(2 + copies), np.vstack([hard, soft]), np.full(2 + copies, 0.5), hard=np.arange(2 + copies) < 2)
+    mix = KKT().solve(p)
+    alone = KKT().solve(Problem(names(2), hard, np.full(2, 0.5), hard=np.ones(2)))
+    np.testing.assert_allclose(mix.alpha, alone.alpha, atol=1e-9)
+    assert mix.status == "infeasible"
+
+
+@pytest.mark.parametrize("off", [1.0, 1e-3, 1e-6])
+def test_a_small_contradiction_is_one(off):
+    row = np.array([-1.0, 0.0, 1.0])
+    p = Problem(names(2), np.vstack([row, row]), np.array([0.5, 0.5 + off]))
+    mix = KKT().solve(p)
+    assert mix.status == "infeasible"
+    (conflict,) = mix.conflicts
+    np.testing.assert_allclose(conflict.amounts, [off / 2, -off / 2], rtol=1e-6)
+
+
 def test_too_many_rows_come_out_as_least_squares():
     p = beyond(1, 15, 6)
     mix = KKT().solve(p)

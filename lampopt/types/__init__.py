@@ -4,7 +4,7 @@ Letters (docs/notation.md): N exemplars, d parameters, p labels, D weights, k ro
 """
 
 from lampopt.types.arrays import Array, frozen_array
-from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec, normalise
+from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
 from lampopt.types.problem import Conflict, Mix, MixBatch, Problem, Status
 
@@ -28,5 +28,4 @@ __all__ = [
     "Spec",
     "Status",
     "frozen_array",
-    "normalise",
 ]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from lampopt.errors import InputError
 
 Array = npt.NDArray[Any]
+V = TypeVar("V")
 
 
 def frozen_array(
@@ -34,15 +35,49 @@ def frozen_array(
     if array.ndim != len(shape) or any(s is not None and s != n for s, n in zip(shape, array.shape, strict=False)):
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
-    bad = np.isinf(array) if nan else ~np.isfinite(array)
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise InputError(f"{name}: expected finite values, got {array[where]} at index {where}")
+    for first in range(0, len(array), max(1, len(array) // 64)) if array.size else ():  # part by part: it may be mapped
+        part = array[first : first + max(1, len(array) // 64)]
+        bad = np.isinf(part) if nan else ~np.isfinite(part)
+        if bad.any():
+            row, *rest = (int(i) for i in np.argwhere(bad)[0])
+            where = (first + row, *rest)
+            raise InputError(f"{name}: expected finite values, got {array[where]} at index {where}")
     view = array.view()
-    if array is value and array.flags.writeable:  # the caller could still change it behind our back
-        view = array.copy()
+    if isinstance(value, np.ndarray) and value.flags.writeable and np.may_share_memory(array, value):
+        view = array.copy()  # the caller could still change it behind our back
     view.flags.writeable = False
     return view
+
+
+def frozen_arrays(arrays: Mapping[str, npt.ArrayLike], what: str) -> Mapping[str, Array]:
+    """Named arrays of any shape, each read-only, keeping its kind of number."""
+    return Table(
+        {
+            name: frozen_array(a, f"{what} {name!r}", (None,) * np.ndim(a), np.asarray(a).dtype)
+            for name, a in arrays.items()
+        }
+    )
+
+
+class Table(Mapping[str, V]):
+    """A read-only mapping that keeps its order and can be pickled."""
+
+    __slots__ = ("_items",)
+
+    def __init__(self, items: Mapping[str, V] | Iterable[tuple[str, V]] = ()) -> None:
+        self._items = dict(items)
+
+    def __getitem__(self, key: str) -> V:
+        return self._items[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __repr__(self) -> str:
+        return repr(self._items)
 
 
 def assign(record: object, **values: object) -> None:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.types.arrays import Array, assign, frozen_array, unique
+from lampopt.types.arrays import Array, Table, assign, frozen_array, frozen_arrays, unique
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -57,22 +55,15 @@ class Spec:
         for key, value in options.items():
             if not isinstance(value, (str, int, float, bool)):
                 raise InputError(f"option {key!r} of {name!r}: expected text, a number or a truth value, got {value!r}")
-        assign(self, name=name, options=MappingProxyType(dict(sorted(options.items()))))
+        assign(self, name=name, options=Table(sorted(options.items())))
 
     def __repr__(self) -> str:
         return f"Spec({', '.join([repr(self.name), *(f'{k}={v!r}' for k, v in self.options.items())])})"
-
-    def __reduce__(self) -> tuple[Callable[..., Spec], tuple[str, dict[str, Scalar]]]:
-        return _spec, (self.name, dict(self.options))
 
     @classmethod
     def of(cls, choice: str | Spec) -> Spec:
         """`choice` itself, or a name without options."""
         return choice if isinstance(choice, Spec) else cls(choice)
-
-
-def _spec(name: str, options: Mapping[str, Scalar]) -> Spec:
-    return Spec(name, **options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +107,12 @@ class Exemplars:
         labels = np.full((n, len(self.label_space)), np.nan) if self.labels is None else self.labels
         assign(
             self,
+            space=tuple(self.space),
+            label_space=tuple(self.label_space),
+            names=tuple(self.names),
             parameters=frozen_array(self.parameters, "parameters", (n, len(self.space))),
             labels=frozen_array(labels, "labels", (n, len(self.label_space)), nan=True),
-            measured=MappingProxyType(dict(self.measured)),
+            measured=Table(self.measured),
         )
         if len(self.meshes) != n:
             raise InputError(f"exemplars: expected {n} meshes, one for each name, got {len(self.meshes)}")
@@ -225,31 +219,22 @@ class Bank:
         measured = np.empty((n, 0)) if self.measured is None else self.measured
         assign(
             self,
+            space=tuple(self.space),
+            label_space=tuple(self.label_space),
+            names=tuple(self.names),
             parameters=frozen_array(self.parameters, "parameters", (n, d)),
             labels=frozen_array(self.labels, "labels", (n, p), nan=True),
             weights=frozen_array(self.weights, "weights", (n, None), np.float32),
-            shared=MappingProxyType(dict(self.shared)),
+            shared=frozen_arrays(self.shared, "shared"),
             probes=probes,
             probe_values=frozen_array(self.probe_values, "probe_values", (n, len(probes), None), np.float32),
             fit_error=frozen_array(self.fit_error, "fit_error", (n,)),
             measured=frozen_array(measured, "measured", (n, len(self.measured_by))),
-            measured_by=MappingProxyType(dict(self.measured_by)),
-            mesh_facts=MappingProxyType(dict(self.mesh_facts)),
-            limits=MappingProxyType(dict(self.limits)),
-            provenance=MappingProxyType(dict(self.provenance)),
+            measured_by=Table(self.measured_by),
+            mesh_facts=Table(self.mesh_facts),
+            limits=Table(self.limits),
+            provenance=Table(self.provenance),
         )
 
     def __len__(self) -> int:
         return len(self.names)
-
-    @cached_property
-    def normalised(self) -> Array:
-        """(N, d) parameters on [-1, 1] over the bank; a parameter without spread is 0 throughout."""
-        return normalise(self.parameters, self.space)
-
-
-def normalise(values: Array, space: Sequence[Parameter]) -> Array:
-    """`values` (..., d) of `space` mapped so that low, high become -1, 1; 0 where there is no spread."""
-    low = np.array([q.low or 0.0 for q in space])
-    spread = np.array([q.spread for q in space])
-    return np.where(spread > 0, 2 * (values - low) / np.where(spread > 0, spread, 1.0) - 1, 0.0)

@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.types.arrays import Array, assign, frozen_array
+from lampopt.types.arrays import Array, Table, assign, frozen_array
 from lampopt.types.bank import Scalar
 from lampopt.types.problem import Mix
 
@@ -51,7 +50,7 @@ class Design:
     def __post_init__(self) -> None:
         assign(
             self,
-            target=MappingProxyType(dict(self.target)),
+            target=Table(self.target),
             predicted=frozen_array(self.predicted, "predicted", (None,)),
             weights=frozen_array(self.weights, "weights", (None,), np.float32),
         )

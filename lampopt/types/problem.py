@@ -141,7 +141,7 @@ class Mix:
         )
         if self.status not in ("exact", "inexact", "infeasible", "failed"):
             raise InputError(f"status: expected exact, inexact, infeasible or failed, got {self.status!r}")
-        if abs(self.alpha.sum() - 1) > 1e-6:
+        if abs(self.alpha.sum() - 1) > 1e-6 * max(1.0, float(np.abs(self.alpha).sum())):
             raise InputError(f"alpha: expected coefficients that sum to 1, got a sum of {self.alpha.sum()}")
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lampopt_sdf.training import Samples
 
 RATES = {"relu": 2e-3, "sine": 2e-4}  # first learning rate of Adam for an exemplar
+START, PROBES, ORDER, POINTS = range(4)  # streams of random numbers, none of which repeats another
 FRESH = 1.5  # times that for weights that start at random
 
 
@@ -100,7 +101,7 @@ class SdfMlp:
 
     def prepare(self, meshes: Sequence[Trimesh], *, mean: Trimesh, seed: int) -> Shared:
         """The start weights (D,): fitted to `mean`, or random ones where there is to be no shared start."""
-        first = self._network().initial(np.random.default_rng([seed, 0]))
+        first = self._network().initial(np.random.default_rng(_common(seed, START)))
         if not self.shared_start:
             return {"start": first}
         weights, _ = self._train(first[None], [mean], seed, self.start_steps, FRESH, None)
@@ -113,8 +114,7 @@ class SdfMlp:
         if self.shared_start:
             start = np.repeat(self._checked(shared)[None], len(meshes), 0)
             return self._train(start, meshes, seed, self.steps, 1.0, progress)
-        keys = [np.random.SeedSequence(seed, spawn_key=_key(mesh)) for mesh in meshes]
-        start = np.stack([self._network().initial(np.random.default_rng(key)) for key in keys])
+        start = np.stack([self._network().initial(np.random.default_rng(_own(seed, m, START))) for m in meshes])
         return self._train(start, meshes, seed, self.start_steps + self.steps, FRESH, progress)
 
     def evaluate(self, shared: Shared, weights: Array, points: Array) -> Array:
@@ -135,17 +135,23 @@ class SdfMlp:
 
     def probes(self, shared: Shared, count: int, seed: int) -> Array:
         """(count, 3) points drawn evenly in the box (paper, appendix N)."""
-        return np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (count, 3))
+        return np.random.default_rng(_common(seed, PROBES)).uniform(-1.0, 1.0, (count, 3))
 
     def _network(self) -> Network:
         from lampopt_sdf.network import Network
 
         return Network(self.width, self.depth, self.octaves, self.activation)
 
-    def _device(self) -> torch.device:
+    def _device(self, *, fit: bool = False) -> torch.device:
+        """Where to compute: a bank fitted on a device that is not here is still evaluated, on the processor."""
         import torch
 
-        return torch.device(self.device)
+        try:
+            return torch.zeros(0, device=self.device).device
+        except (RuntimeError, AssertionError) as error:
+            if fit:
+                raise InputError(f"device: {self.device!r} cannot be used here: {error}") from error
+            return torch.device("cpu")
 
     def _checked(self, shared: Shared) -> Array:
         size = self._network().size
@@ -162,12 +168,12 @@ class SdfMlp:
 
         # The same draws for every exemplar keep their weights aligned (paper, appendix F: same seed beats own seeds).
         own = self.seed_per_exemplar
-        orders = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_key(m))) for m in meshes] if own else []
+        orders = [np.random.default_rng(_own(seed, m, ORDER)) for m in meshes] if own else []
         return train(
             self._network(),
             start,
             self._samples(meshes, seed),
-            orders or [np.random.default_rng([seed, 2])],
+            orders or [np.random.default_rng(_common(seed, ORDER))],
             steps=steps,
             points=self.points,
             rate=hurry * (self.learning_rate or RATES[self.activation]),
@@ -181,17 +187,21 @@ class SdfMlp:
         from lampopt_sdf.samples import draw
         from lampopt_sdf.training import Samples
 
-        drawn = [
-            draw(m, self.samples, np.random.SeedSequence(seed, spawn_key=_key(m) if self.seed_per_exemplar else (3,)))
-            for m in meshes
-        ]
+        own = self.seed_per_exemplar
+        drawn = [draw(m, self.samples, _own(seed, m, POINTS) if own else _common(seed, POINTS)) for m in meshes]
         stacked = (
-            torch.as_tensor(np.array(part, np.float32), device=self._device()) for part in zip(*drawn, strict=True)
+            torch.as_tensor(np.array(part, np.float32), device=self._device(fit=True))
+            for part in zip(*drawn, strict=True)
         )
         return Samples(*stacked)
 
 
-def _key(mesh: Trimesh) -> tuple[int, ...]:
-    """A spawn key that belongs to the mesh itself, whatever batch it is fitted in."""
+def _common(seed: int, stream: int) -> np.random.SeedSequence:
+    """The source of one kind of draw, the same for every exemplar."""
+    return np.random.SeedSequence(seed, spawn_key=(stream,))
+
+
+def _own(seed: int, mesh: Trimesh, stream: int) -> np.random.SeedSequence:
+    """The source of one kind of draw that belongs to the mesh itself, whatever batch it is fitted in."""
     found = hashlib.blake2b(np.ascontiguousarray(mesh.vertices, float).tobytes(), digest_size=16)
-    return tuple(np.frombuffer(found.digest(), np.uint32).tolist())
+    return np.random.SeedSequence(seed, spawn_key=(stream, *np.frombuffer(found.digest(), np.uint32).tolist()))

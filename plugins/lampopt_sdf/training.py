@@ -56,6 +56,7 @@ def train(
         features = network.features(given)
         importance = 1 / (1 + distances.abs() / NEAR) / points
         surface = network.features(samples.surface)
+        look = surface[:, :: max(1, surface.shape[1] // BLOCK)]  # the points lie in face order: take some of all
         running = torch.ones(n, dtype=torch.bool, device=device)
         finished = weights.clone()
         for step in range(steps):
@@ -69,7 +70,7 @@ def train(
                 group["lr"] = rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + cos(pi * step / steps))
             optimizer.step()
             if tolerance > 0 and (step + 1) % LOOK == 0:
-                reached = running & (_error(run, layers, surface[:, :BLOCK]) <= tolerance)
+                reached = running & (_error(run, layers, look) <= tolerance)
                 finished[reached] = weights[reached]
                 running &= ~reached
                 if not running.any():
