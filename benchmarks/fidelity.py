@@ -1,4 +1,4 @@
-"""How faithful mixed shapes are: ``python -m benchmarks.fidelity --help`` (docs/benchmarks.md)."""
+"""How faithful mixed shapes are: ``python -m benchmarks.fidelity --help`` (docs/performance.md)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def arguments(given: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("--body", default="Hybrid", help="of the judge's bodies")
     parser.add_argument("--decoder", default="sdf-mlp")
-    parser.add_argument("--decoder-set", action="append", default=[], metavar="K=V", help="an option of the decoder")
+    parser.add_argument(
+        "--decoder-set", action="append", default=[], type=pair, metavar="K=V", help="an option of the decoder"
+    )
     parser.add_argument("--resolution", type=int, help="cells along the decoder's box (192; 48 with --quick)")
     parser.add_argument("--seed", type=int, default=0, help="of the fits")
     parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where banks and scores are kept")
@@ -40,6 +42,14 @@ def arguments(given: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
     parser.add_argument("--threads", type=int, default=1, help="of BLAS and libigl; torch's are the decoder's business")
     return parser.parse_args(given)
+
+
+def pair(text: str) -> tuple[str, str | int | float | bool]:
+    """An option and its value."""
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text!r}")
+    return name, scalar(value)
 
 
 def scalar(text: str) -> str | int | float | bool:
@@ -115,12 +125,11 @@ def main(given: Sequence[str] | None = None) -> int:
     from . import ablation, body, plate
     from .common import Bench
 
-    options = dict(pair.split("=", 1) for pair in args.decoder_set)
     talk = Console(stderr=True)
     try:
         bench = Bench(
             args.cache / "quick" if args.quick else args.cache,
-            Spec(args.decoder, **{name: scalar(text) for name, text in options.items()}),
+            Spec(args.decoder, **dict(args.decoder_set)),
             args.resolution or (48 if args.quick else 192),
             args.quick,
             args.seed,

@@ -1,4 +1,4 @@
-"""Thirteen plates with a hole teach a decoder; then it makes one longer, with a wider hole, than any of them.
+"""Thirteen plates with a hole teach a decoder; then it makes one with a wider hole than any of them.
 
 Run by `make demo`. Writes into a folder (default: demo) the bank, the new plate, its checks and a picture.
 """
@@ -18,7 +18,7 @@ from lampopt.record import export_mesh, passport
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "demo")
 folder.mkdir(parents=True, exist_ok=True)
 console = Console()
-target = {"length": 3.3, "hole_radius": 0.28}
+target = {"hole_radius": 0.30}
 
 plates = lampopt.exemplars("plate")
 with progress_bar("fitting 13 plates") as progress:

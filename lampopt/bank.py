@@ -9,21 +9,24 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
 from lampopt import lamp
-from lampopt.errors import BankError, FitError, InputError, PluginError
+from lampopt.errors import BankError, FitError, InputError
 from lampopt.measured import measure_all
+from lampopt.partial import Partial
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Progress, Shared
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Exemplars, Frame, Parameter, Scalar, Spec
+from lampopt.types.arrays import frozen_arrays
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -40,6 +43,7 @@ def build_bank(
     seed: int = 0,
     store: str | Path | None = None,
     measured: Mapping[str, str] | None = None,
+    limits: Mapping[str, float] | None = None,
     batch: int = 8,
     probes: int = PROBES,
     progress: Progress | None = None,
@@ -61,6 +65,9 @@ def build_bank(
     measured
         Which parameters can be measured on a mesh, and how, beyond what the source declares:
         ``{"length": "extents.length"}``.
+    limits
+        Limits of checks that replace the defaults for designs of this bank: ``{"mismatch": 0.02}``. By default those
+        of a finished store are left as they are.
     batch
         Exemplars fitted together.
     probes
@@ -73,64 +80,69 @@ def build_bank(
     FitError
         Naming the exemplar that cannot be fitted, and why.
     BankError
-        If `store` holds a bank, or the beginning of one, made from other inputs.
+        If `store` holds a bank, or the beginning of one, made from other inputs, or another process is building it.
     InputError, PluginError
         If an argument cannot be used.
     """
     plugins = plugins or Plugins.load().report()
     spec = Spec.of(decoder)
-    made = plugins.make("decoder", spec)
-    if not isinstance(made, Decoder):
-        raise PluginError(f"decoder {spec.name!r}: {made!r} lacks what lampopt.protocols.Decoder asks for")
+    made: Decoder = plugins.make("decoder", spec)
     if batch < 1 or probes < 1:
         raise InputError(f"batch and probes: expected at least 1, got {batch} and {probes}")
+    limits = None if limits is None else _limits(limits)
     facts = _survey(exemplars)
     plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
     path = Path(store) if store is not None else None
     measured_by = {**exemplars.measured, **(measured or {})}
     if path is not None and path.exists():
-        bank = _finished(path, plan)
-        _Partial.beside(path).remove(plan)  # left where a build was killed in its very last moment
-        if dict(bank.measured_by) == measured_by:
-            return bank
-        values = measure_all(exemplars, measured_by, plugins)
-        return lamp.store_bank(replace(bank, measured_by=measured_by, measured=values), path)
+        return _finished(path, plan, exemplars, measured_by, limits, plugins)
     values = measure_all(exemplars, measured_by, plugins)
-    partial = _Partial.open(path, plan) if path is not None else None
-    frame = _frame(facts.bounds, exemplars.unit)
-    meshes = _InBox(exemplars.meshes, exemplars.names, frame)
-    shared, weights, error = _fit(exemplars, meshes, frame, made, seed, batch, partial, progress)
-    points = np.asarray(made.probes(shared, probes, seed), float)
-    bank = Bank(
-        space=_ranged(exemplars.space, exemplars.parameters),
-        parameters=exemplars.parameters,
-        label_space=_ranged(exemplars.label_space, exemplars.labels),
-        labels=exemplars.labels,
-        names=exemplars.names,
-        weights=weights,
-        shared=shared,
-        frame=frame,
-        decoder=spec,
-        probes=points,
-        probe_values=np.stack([made.evaluate(shared, w, points) for w in weights]),
-        fit_error=error,
-        measured_by=measured_by,
-        measured=values,
-        mesh_facts=facts.common,
-        provenance=_provenance(plan, plugins, spec, seed, batch),
-    )
-    if path is None or partial is None:
+    with nullcontext() if path is None else Partial.open(path, plan) as partial:
+        if path is not None and path.exists():  # another process has come to its end meanwhile
+            return _finished(path, plan, exemplars, measured_by, limits, plugins)
+        frame = _frame(facts.bounds, exemplars.unit)
+        meshes = _InBox(exemplars.meshes, exemplars.names, frame)
+        shared, weights, error = _fit(exemplars, meshes, frame, made, seed, batch, partial, progress)
+        points = np.asarray(made.probes(shared, probes, seed), float)
+        bank = Bank(
+            space=_ranged(exemplars.space, exemplars.parameters),
+            parameters=exemplars.parameters,
+            label_space=_ranged(exemplars.label_space, exemplars.labels),
+            labels=exemplars.labels,
+            names=exemplars.names,
+            weights=weights,
+            shared=shared,
+            frame=frame,
+            decoder=spec,
+            probes=points,
+            probe_values=np.stack([made.evaluate(shared, w, points) for w in weights]),
+            fit_error=error,
+            measured_by=measured_by,
+            measured=values,
+            mesh_facts=facts.common,
+            limits=limits or {},
+            provenance=_provenance(plan, facts, shared, plugins, spec, seed, batch),
+        )
+        if path is None or partial is None:
+            return bank
+        bank = lamp.store_bank(bank, path)
+        partial.remove()
         return bank
-    bank = lamp.store_bank(bank, path)
-    partial.remove(plan)
-    return bank
+
+
+def _limits(limits: Mapping[str, float]) -> dict[str, float]:
+    """`limits` as a file can hold them; which names there are is known to the checks, a later stage."""
+    for name, limit in limits.items():
+        number: object = limit
+        good = isinstance(number, (int, float, np.number)) and not isinstance(number, (bool, np.complexfloating))
+        if not (good and isfinite(limit) and limit >= 0):
+            raise InputError(f"limits: expected names with finite numbers, 0 or more, got {name!r}: {limit!r}")
+    return {name: float(limit) for name, limit in limits.items()}
 
 
 def decoder_of(bank: Bank, plugins: Plugins) -> Decoder:
     """The decoder that `bank` was fitted by, rebuilt from its Spec."""
-    made = plugins.make("decoder", bank.decoder)
-    if not isinstance(made, Decoder):
-        raise PluginError(f"decoder {bank.decoder.name!r}: {made!r} lacks what lampopt.protocols.Decoder asks for")
+    made: Decoder = plugins.make("decoder", bank.decoder)
     return made
 
 
@@ -212,19 +224,22 @@ def _fit(
     decoder: Decoder,
     seed: int,
     batch: int,
-    partial: _Partial | None,
+    partial: Partial | None,
     progress: Progress | None,
 ) -> tuple[Shared, Array, Array]:
     """The shared start, weights (N, D) and errors (N,); what `partial` holds already is taken from it."""
     starts = range(0, len(meshes), batch)
     steps = 1 + len(starts)
     tell = progress or (lambda done, message="": None)
-    shared: Shared | None = partial.read("shared") if partial else None
-    if shared is None:
+    begun: Shared | None = partial.read("shared") if partial else None
+    if begun is None:
         tell(0.0, "shared start")
-        shared = dict(decoder.prepare(meshes, mean=_mean_mesh(exemplars, meshes, frame), seed=seed))
         if partial:
-            partial.write("shared", shared)
+            partial.clear()  # batches from a start that is lost
+        begun = decoder.prepare(meshes, mean=_mean_mesh(exemplars, meshes, frame), seed=seed)
+        if partial:
+            partial.write("shared", begun)
+    shared = frozen_arrays(begun, "shared")  # what one batch did to it, the next would start from
     weights, errors = [], []
     for number, start in enumerate(starts):
         chosen = meshes[start : start + batch]
@@ -290,83 +305,47 @@ def _plan(exemplars: Exemplars, facts: _Facts, decoder: str, seed: int, batch: i
         "batch": batch,
         "probes": probes,
     }
+    return _hash(inputs)
+
+
+def _hash(inputs: object) -> str:
+    """A hash of plain values."""
     return hashlib.blake2b(json.dumps(inputs, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
-def _finished(path: Path, plan: str) -> Bank:
+def _finished(
+    path: Path,
+    plan: str,
+    exemplars: Exemplars,
+    measured_by: Mapping[str, str],
+    limits: Mapping[str, float] | None,
+    plugins: Plugins,
+) -> Bank:
+    """The bank at `path`, with what can change without fitting brought up to date."""
     bank = lamp.load_bank(path)
     if bank.provenance.get("plan") != plan:
         raise BankError(f"{path}: holds a bank made from other exemplars, options or seed: delete it or name another")
-    return bank
+    Partial.beside(path, plan).remove()  # left where a build was killed in its very last moment
+    now = bank
+    if dict(bank.measured_by) != measured_by:
+        now = replace(now, measured_by=measured_by, measured=measure_all(exemplars, measured_by, plugins))
+    if limits is not None and dict(bank.limits) != limits:
+        now = replace(now, limits=limits)
+    return bank if now is bank else lamp.store_bank(now, path)
 
 
-def _provenance(plan: str, plugins: Plugins, spec: Spec, seed: int, batch: int) -> dict[str, Scalar]:
+def _provenance(
+    plan: str, facts: _Facts, shared: Shared, plugins: Plugins, spec: Spec, seed: int, batch: int
+) -> dict[str, Scalar]:
     from importlib.metadata import version
 
     offer = plugins.get("decoder", spec.name)
     return {
         "plan": plan,
+        "meshes": _hash(facts.hashes),
+        "start": _hash({name: lamp.digest(array) for name, array in shared.items()}),
         "seed": seed,
         "batch": batch,
         "lampopt": version("lampopt"),
         "decoder": f"{offer.distribution} {offer.version}",
     }
-
-
-def _planned(note: Path) -> str | None:
-    try:
-        return str(json.loads(note.read_text())["plan"])
-    except (OSError, ValueError, KeyError, TypeError):  # not there, or killed while it was written
-        return None
-
-
-@dataclass(frozen=True)
-class _Partial:
-    """`<store>.partial/`: the finished parts of a build that has not come to its end."""
-
-    folder: Path
-
-    @classmethod
-    def open(cls, store: Path, plan: str) -> _Partial:
-        partial = cls.beside(store)
-        folder, begun = partial.folder, _planned(partial.note)
-        if begun not in (None, plan):
-            raise BankError(
-                f"{folder}: holds the beginning of a bank made from other exemplars, options or seed: delete it "
-                "or name another store"
-            )
-        if begun == plan:
-            log.info("resuming the build in %s", folder)
-            return partial
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for part in folder.glob("*.safetensors"):  # of an unknown plan
-                part.unlink()
-            partial.note.write_text(json.dumps({"plan": plan}))
-        except OSError as error:
-            raise BankError(f"{folder}: cannot be written: {error}") from error
-        return partial
-
-    @classmethod
-    def beside(cls, store: Path) -> _Partial:
-        """Where the parts of `store` are, if there are any."""
-        return cls(store.with_name(store.name + ".partial"))
-
-    @property
-    def note(self) -> Path:
-        return self.folder / "plan.json"
-
-    def read(self, name: str) -> dict[str, Array] | None:
-        """The arrays written under `name`, None if there are none."""
-        path = self.folder / f"{name}.safetensors"
-        return lamp.read(path)[0] if path.exists() else None
-
-    def write(self, name: str, arrays: Mapping[str, Array]) -> None:
-        lamp.write(self.folder / f"{name}.safetensors", arrays, {"format": "lampopt part"})
-
-    def remove(self, plan: str) -> None:
-        """Remove the folder if it is of `plan`; the note goes last, so that a kill leaves it recognisable."""
-        if _planned(self.note) == plan:
-            for part in self.folder.glob("*.safetensors*"):
-                part.unlink()
-            shutil.rmtree(self.folder)

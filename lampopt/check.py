@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import EmptyMesh, MeasureError, StudyError
+from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, StudyError
 from lampopt.measured import resolve_address
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 DEFAULTS: Mapping[str, float] = {
     "target": 0.02,  # worst unmet target [half of the bank's range]
+    "hard": 1e-6,  # the same of the targets that must be met exactly
+    "range": 1e-4,  # farthest out of a range that was asked for [half of the bank's range]
     "alpha": 3.0,  # ‖alpha − centre‖; a swap of one exemplar for another is 1.41
     "mismatch": 0.01,  # the paper's epsilon [box]
     "mismatch.band": 0.01,  # the same near the surface
@@ -37,7 +39,7 @@ BAND = 0.05  # half the width of the narrow band about the surface [box]
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits in force: the study's, else the bank's, else the defaults."""
+    """The limits in force: the study's, else the bank's, else the defaults; each name's own before `drift` for all."""
 
     study: Mapping[str, float]
     bank: Mapping[str, float]
@@ -48,31 +50,50 @@ class Limits:
 
         Raises
         ------
-        StudyError
-            If one is for a check that does not exist.
+        StudyError, BankError
+            If one of the study or of the bank is for a check that does not exist, or no number of at least 0.
         """
         known = {*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by)}
-        if unknown := sorted(set(limits) - known):
-            raise StudyError(f"limits: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        _usable(limits, known, "limits", StudyError)
+        _usable(bank.limits, known, "limits of the bank", BankError)
         return cls(limits, bank.limits)
 
     def __getitem__(self, name: str) -> float:
-        for known in (self.study, self.bank, DEFAULTS):
-            if name in known:
-                return float(known[name])
-        return self[name.rpartition(".")[0]]
+        names = (name,) if name in DEFAULTS else (name, name.rpartition(".")[0])
+        tables = (self.study, self.bank, DEFAULTS)
+        return float(next(table[key] for table in tables for key in names if key in table))
+
+
+def _usable(limits: Mapping[str, float], known: set[str], what: str, error: type[InputError]) -> None:
+    if unknown := sorted(set(limits) - known):
+        raise error(f"{what}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+    for name, limit in limits.items():
+        if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < float("inf"):
+            raise error(f"{what}: {name}: expected a finite number of at least 0, got {limit!r}")
 
 
 def alpha_checks(posed: Posed, mix: Mix, limits: Limits) -> list[Check]:
-    """What alpha alone tells: are the targets met, how far from the centre."""
-    worst = float(np.abs(mix.residual).max(initial=0.0))
-    distance = float(np.linalg.norm(mix.alpha - posed.centre()))
-    return [
-        Check(
-            "target", worst, "<=", limits["target"], "half range", "alpha", "" if mix.status == "exact" else mix.message
-        ),
-        Check("alpha", distance, "<=", limits["alpha"], "", "alpha", "‖alpha − centre‖"),
+    """What alpha alone tells: is it an answer, are targets and ranges met, how far is it from the centre."""
+    said = "" if mix.status == "exact" else mix.message
+    found = [
+        Check("solved", float(mix.status != "failed"), "=", 1.0, "", "alpha", said if mix.status == "failed" else ""),
+        _met("target", mix.residual, limits, said),
     ]
+    problem = posed.problem
+    if problem.hard.any():
+        found.append(_met("hard", mix.residual[problem.hard], limits, said))
+    if len(problem.range_names):
+        values = problem.range_matrix @ mix.alpha[posed.active]
+        outside = np.maximum(problem.range_low - values, values - problem.range_high).clip(0.0)
+        worst = problem.range_names[int(outside.argmax())]
+        found.append(_met("range", outside, limits, f"the worst is {worst}" if outside.any() else ""))
+    distance = float(np.linalg.norm(mix.alpha - posed.centre()))
+    return [*found, Check("alpha", distance, "<=", limits["alpha"], "", "alpha", "‖alpha − centre‖")]
+
+
+def _met(name: str, off: Array, limits: Limits, note: str) -> Check:
+    """The worst of what is `off` [half of the bank's range]."""
+    return Check(name, float(np.abs(off).max(initial=0.0)), "<=", limits[name], "half range", "alpha", note)
 
 
 def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tuple[float, float]:
@@ -198,9 +219,7 @@ def measure_checks(bank: Bank, mesh: Trimesh, measures: Sequence[str], plugins: 
     """Values that a study wants to know; they judge nothing."""
     found = []
     for name in measures:
-        measure = plugins.make("measure", name)
-        if not isinstance(measure, Measure):
-            raise StudyError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
+        measure: Measure = plugins.make("measure", name)
         try:
             values, note = np.asarray(measure(mesh), float), ""
         except (MeasureError, EmptyMesh) as error:

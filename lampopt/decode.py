@@ -53,7 +53,8 @@ def field_to_mesh(field: Field, bounds: Array, resolution: int) -> Trimesh:
     Parameters
     ----------
     field
-        Points (M, 3) → values (M,), negative inside; distances, or something with bounded slope.
+        Points (M, 3) → values (M,), negative inside; distances, or something with bounded slope. A body that is
+        smaller than a 32nd of the box and in which alone the field is several times steeper may be passed over.
     bounds
         (2, 3) low and high corner of the box. A surface that reaches it is closed there.
     resolution

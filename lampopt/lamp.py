@@ -62,7 +62,7 @@ def write(path: Path, arrays: Mapping[str, Array], record: Mapping[str, Any]) ->
     arrays = {name: _plain(array, name) for name, array in arrays.items()}
     head = json.loads(json.dumps({**record, "hashes": {name: digest(array) for name, array in arrays.items()}}))
     text = json.dumps({**head, "hash": _seal(head)}, sort_keys=True)
-    temporary = path.with_name(path.name + ".writing")
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.writing")  # another process may write here too
     try:
         temporary.touch()
         mode = temporary.stat().st_mode  # the user's: safetensors lets nobody else read

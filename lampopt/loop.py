@@ -8,10 +8,12 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,12 +22,13 @@ from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
 from lampopt.decode import decode
-from lampopt.errors import EmptyMesh, MeasureError, PluginError, StudyError
+from lampopt.errors import EmptyMesh, InputError, MeasureError, PluginError, StudyError
+from lampopt.meshfile import load_mesh
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, Measure, Progress, Solver
 from lampopt.record import RunFolder
-from lampopt.solve import Posed, pose, solve
+from lampopt.solve import Posed, pose, solve, solve_many
 from lampopt.study import Reduce, Study, Value
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Needs, Result, Scalar, Spec
 
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
+BATCH = 256  # targets of a sweep that are solved together
+log = logging.getLogger("lampopt")
 
 
 def measure(name: str | Spec, mesh: Trimesh, *, plugins: Plugins | None = None) -> dict[str, float]:
@@ -43,9 +48,7 @@ def measure(name: str | Spec, mesh: Trimesh, *, plugins: Plugins | None = None) 
     MeasureError
         If a feature is not there.
     """
-    made = (plugins or Plugins.load().report()).make("measure", name)
-    if not isinstance(made, Measure):
-        raise PluginError(f"measure {Spec.of(name).name!r}: {made!r} lacks what lampopt.protocols.Measure asks for")
+    made: Measure = (plugins or Plugins.load().report()).make("measure", name)
     if len(mesh.faces) == 0:
         raise MeasureError(f"measure {Spec.of(name).name!r}: expected a mesh with faces, got none")
     return {value: float(v) for value, v in zip(made.names, made(mesh), strict=True)}
@@ -97,6 +100,8 @@ def sweep(
 ) -> Iterator[Result]:
     """One design for each combination of the values in `grid`, yielded as they come; nothing is held.
 
+    They are made in this process, one after the other; executors for many at once come later.
+
     Parameters
     ----------
     study
@@ -144,13 +149,9 @@ class _Run:
         plugins = plugins or Plugins.load().report()
         _require(study, plugins)
         bank = study.opened()
-        solver = plugins.make("solver", study.solver)
-        if not isinstance(solver, Solver):
-            raise PluginError(f"solver {study.solver!r}: {solver!r} lacks what lampopt.protocols.Solver asks for")
-        checkers = {name: plugins.make("check", name) for name in study.checks}
+        solver: Solver = plugins.make("solver", study.solver)
+        checkers: dict[str, Checker] = {name: plugins.make("check", name) for name in study.checks}
         for name, made in checkers.items():
-            if not isinstance(made, Checker):
-                raise PluginError(f"check {name!r}: {made!r} lacks what lampopt.protocols.Checker asks for")
             if made.needs not in LEVELS:
                 raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
         for name in study.measures:
@@ -163,7 +164,7 @@ class _Run:
         """Check every target first, then yield the results one by one."""
         asked = [self._asked(change) for change in changes]
         for target in {tuple(target): target for target in asked}.values():  # one for each set of names
-            self._posed(target)  # raises here, before the first design, what cannot be asked
+            self.posed(target)  # raises here, before the first design, what cannot be asked
         return self._yield(asked, folder, progress)
 
     def _asked(self, change: Mapping[str, Value]) -> dict[str, float]:
@@ -178,29 +179,27 @@ class _Run:
             if place is not None:
                 identity = self._identity()
                 place.write_study(self._stored(place.folder).to_toml())
+            mixes = _Mixes(self, asked)
             for number, target in enumerate(asked):
                 if progress:
                     progress(number / len(asked), f"design {number + 1} of {len(asked)}")
                 if place is None:
-                    yield self._judge(target)
+                    yield self._judge(target, *mixes.at(number))
                     continue
                 key = _hash({"run": identity, "target": dict(target)})
-                result = place.read(key, self._rebuilt)
+                result = place.read(key, self._design)
                 if result is None:
                     began = time.perf_counter()
-                    result = self._judge(target)
+                    result = self._judge(target, *mixes.at(number))
                     seconds = time.perf_counter() - began
-                    result = replace(result, folder=place.place(key))
-                    place.write(key, result, self.bank, form=self.study.format, seconds=seconds)
-                    self.plugins.recorded(result, place.place(key))
+                    result = place.write(key, result, self.bank, form=self.study.format, seconds=seconds)
+                    self.plugins.recorded(result, result.folder or place.folder)
                 yield result
             if progress:
                 progress(1.0, f"{len(asked)} designs")
 
-    def _judge(self, target: Mapping[str, float]) -> Result:
-        """One design through solve, mix, decode and check, as far as the study's level."""
-        posed = self._posed(target)
-        mix = solve(posed, self.solver)
+    def _judge(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
+        """One design through mix, decode and check, as far as the study's level."""
         made = self._design(target, mix)
         checks = alpha_checks(posed, mix, self.limits)
         for level in LEVELS[: LEVELS.index(self.study.level) + 1]:
@@ -212,9 +211,10 @@ class _Run:
                     break  # nothing is left to be measured or judged
                 checks += measure_checks(self.bank, made.mesh, self.study.measures, self.plugins)
             checks += stranger_checks(self.bank, made, self.checkers, level)
-        return Result(made, tuple(_unique(checks)), self._provenance())
+        return Result(made, tuple(_unique(checks)), dict(self._provenance))
 
-    def _posed(self, target: Mapping[str, float]) -> Posed:
+    def posed(self, target: Mapping[str, float]) -> Posed:
+        """The problem that one target poses."""
         study = self.study
         return pose(self.bank, target, ranges=study.bounds(self.bank), hard=study.hard, reference=study.reference)
 
@@ -223,18 +223,19 @@ class _Run:
 
         def make() -> Trimesh | None:
             if mesh is not None and mesh.exists():
-                import trimesh
-
-                return trimesh.load_mesh(mesh)
+                try:
+                    found = load_mesh(mesh)
+                except InputError as error:
+                    log.warning("%s; it is decoded again", error)
+                else:
+                    found.units = self.bank.frame.unit
+                    return found
             try:
                 return decode(self.bank, self.decoder, weights, resolution=self.study.resolution)
             except EmptyMesh:
                 return None
 
         return Design(target, mix, predicted(self.bank, mix.alpha), weights, make)
-
-    def _rebuilt(self, target: Mapping[str, float], mix: Mix, mesh: Path | None) -> Design:
-        return self._design(target, mix, mesh)
 
     def _stored(self, folder: Path) -> Study:
         """The study with a bank that TOML can name: one that is in no file is stored in the run folder."""
@@ -248,9 +249,14 @@ class _Run:
     def _identity(self) -> str:
         """A hash of all but the target that a result depends on."""
         study = self.study
+        drift = self.bank.measured_by.values() if study.level == "mesh" else ()
+
+        def offer(kind: str, name: str) -> str:
+            return str(self.plugins.get(kind, name))
+
         return _hash(
             {
-                "versions": self._provenance(),
+                "versions": dict(self._provenance),
                 "space": [str(q) for q in (*self.bank.space, *self.bank.label_space)],
                 "names": self.bank.names,
                 "measured_by": dict(self.bank.measured_by),
@@ -264,8 +270,9 @@ class _Run:
                 "reference": study.reference,
                 "ranges": study.bounds(self.bank),
                 "hard": study.hard,
-                "measures": [str(self.plugins.get("measure", name)) for name in study.measures],
-                "checks": [str(self.plugins.get("check", name)) for name in study.checks],
+                "measures": {name: offer("measure", name) for name in study.measures},
+                "drift": {address: offer("measure", address.partition(".")[0]) for address in drift},
+                "checks": {name: offer("check", name) for name in study.checks},
                 "format": study.format,
                 "level": study.level,
                 "resolution": study.resolution,
@@ -273,7 +280,8 @@ class _Run:
             }
         )
 
-    def _provenance(self) -> dict[str, Scalar]:
+    @cached_property
+    def _provenance(self) -> Mapping[str, Scalar]:
         solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
         decoder = self.plugins.get("decoder", self.bank.decoder.name)
         return {
@@ -284,6 +292,43 @@ class _Run:
             "level": self.study.level,
             "resolution": self.study.resolution,
         }
+
+
+class _Mixes:
+    """The mixes of many targets. A batch is solved when the first of it is wanted, and only one is held.
+
+    Batches are fixed by the order of the targets, so that a sweep that goes on ends with the very same coefficients.
+    Where the first of a batch is not met exactly, all of it are solved one by one, each when it is wanted: they would
+    have to be asked for their reasons anyway.
+    """
+
+    def __init__(self, run: _Run, asked: Sequence[Mapping[str, float]]) -> None:
+        self._run, self._asked = run, asked
+        self._batch, self._solved = range(0), list[tuple[Posed, Mix]]()
+
+    def at(self, number: int) -> tuple[Posed, Mix]:
+        """The problem of one target, and its mix."""
+        if number not in self._batch:
+            self._batch = next(batch for batch in self._batches() if number in batch)
+            self._solved = self._together([self._asked[i] for i in self._batch])
+        return self._solved[number - self._batch.start] if self._solved else self._alone(self._asked[number])
+
+    def _batches(self) -> Iterator[range]:
+        """Neighbours that ask for the same names, `BATCH` at most."""
+        for _, same in itertools.groupby(range(len(self._asked)), key=lambda i: tuple(self._asked[i])):
+            found = list(same)
+            yield from (range(first, min(first + BATCH, found[-1] + 1)) for first in found[::BATCH])
+
+    def _together(self, targets: Sequence[Mapping[str, float]]) -> list[tuple[Posed, Mix]]:
+        """The whole batch, or nothing where that is of no use."""
+        if len(targets) == 1:
+            return []
+        posed, first = self._alone(targets[0])
+        return [(posed, mix) for mix in solve_many(posed, targets, self._run.solver)] if first.status == "exact" else []
+
+    def _alone(self, target: Mapping[str, float]) -> tuple[Posed, Mix]:
+        posed = self._run.posed(target)
+        return posed, solve(posed, self._run.solver)
 
 
 def _require(study: Study, plugins: Plugins) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from lampopt.errors import InputError, MeasureError, PluginError
+from lampopt.errors import InputError, MeasureError
 from lampopt.plugins import Plugins
 from lampopt.protocols import Measure
 from lampopt.types import Array, Exemplars
@@ -80,9 +80,7 @@ def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:
         If the measure has no such value: its values are listed.
     """
     name, dot, value = address.partition(".")
-    measure = plugins.make("measure", name)
-    if not isinstance(measure, Measure):
-        raise PluginError(f"measure {name!r}: {measure!r} lacks what lampopt.protocols.Measure asks for")
+    measure: Measure = plugins.make("measure", name)
     if not dot or value not in measure.names:
         known = ", ".join(f"{name}.{v}" for v in measure.names)
         raise InputError(f"measured value {address!r}: expected 'measure.value', one of {known}")

@@ -12,7 +12,8 @@ from lampopt.errors import InputError
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb")  # that are read
+FORMATS = ("stl", "obj", "ply", "glb")  # that are written
 
 
 def load_mesh(path: str | Path) -> Trimesh:

@@ -19,7 +19,7 @@ def mixed_weights(bank: Bank, alpha: Array) -> Array:
     alpha = np.asarray(alpha)
     if alpha.shape[-1:] != (len(bank),):
         raise InputError(f"alpha: expected {len(bank)} coefficients, one per exemplar, got shape {alpha.shape}")
-    largest = np.finfo(np.float32).max
+    largest = float(np.finfo(np.float32).max)
     with np.errstate(over="ignore", invalid="ignore"):  # a mix too far out to be represented has no surface; no crash
         mixed = np.clip(alpha, -largest, largest).astype(np.float32) @ bank.weights
     return np.asarray(np.nan_to_num(mixed, nan=largest, posinf=largest, neginf=-largest))

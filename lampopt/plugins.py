@@ -13,15 +13,27 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pluggy
 
-from lampopt import hookspecs
+from lampopt import hookspecs, protocols
 from lampopt.errors import PluginError
 from lampopt.types import Result, Scalar, Spec
 
-KINDS = ("decoder", "solver", "measure", "surrogate", "model", "source", "check")
+PROTOCOLS: Mapping[str, type] = MappingProxyType(
+    {
+        "decoder": protocols.Decoder,
+        "solver": protocols.Solver,
+        "measure": protocols.Measure,
+        "surrogate": protocols.Surrogate,
+        "model": protocols.Model,
+        "source": protocols.Source,
+        "check": protocols.Checker,
+    }
+)
+KINDS = tuple(PROTOCOLS)
 BLOCK = "LAMPOPT_BLOCK"
 log = logging.getLogger("lampopt")
 
@@ -63,7 +75,7 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Fault:
     """A plugin that does not work, and why."""
 
     plugin: str
@@ -80,7 +92,7 @@ class Plugins:
     """What is installed: the offers by kind and name, the problems met on the way, each plugin's distribution."""
 
     offers: Mapping[tuple[str, str], Offer]
-    problems: tuple[Problem, ...]
+    problems: tuple[Fault, ...]
     clashes: Mapping[tuple[str, str], tuple[Offer, ...]] = field(default_factory=dict)
     owners: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     manager: pluggy.PluginManager = field(default_factory=lambda: _manager(), repr=False)
@@ -98,7 +110,7 @@ class Plugins:
         """
         blocked = {name.strip() for name in os.environ.get(BLOCK, "").split(",")} if block is None else set(block)
         manager = _manager()
-        problems: list[Problem] = []
+        problems: list[Fault] = []
         owners: dict[str, tuple[str, str]] = {}
         points = sorted(entry_points(group="lampopt"), key=lambda p: (p.name, _owner(p)))
         names = [point.name for point in points]
@@ -108,12 +120,12 @@ class Plugins:
             owner = _owner(point)
             if names.count(point.name) > 1:
                 rivals = sorted({" ".join(_owner(p)) for p in points if p.name == point.name})
-                problems.append(Problem(point.name, *owner, f"one entry-point name from {' and '.join(rivals)}"))
+                problems.append(Fault(point.name, *owner, f"one entry-point name from {' and '.join(rivals)}"))
                 continue
             try:
                 plugin = point.load()
             except (Exception, SystemExit) as error:  # noqa: BLE001  # whatever a stranger's module raises on import
-                problems.append(Problem(point.name, *owner, f"cannot be imported: {error!r}"))
+                problems.append(Fault(point.name, *owner, f"cannot be imported: {error!r}"))
                 continue
             _register(manager, point.name, plugin, owner, owners, problems)
         for name, plugin in extra:
@@ -153,7 +165,8 @@ class Plugins:
         Raises
         ------
         PluginError
-            If it is missing, or an option is unknown or refused: the known options are listed.
+            If it is missing, or an option is unknown or refused: the known options are listed. If what comes lacks a
+            member of its protocol.
         """
         spec = Spec.of(choice)
         offer = self.get(kind, spec.name)
@@ -168,9 +181,13 @@ class Plugins:
         for option, value in spec.options.items():
             _check_type(f"{kind} {spec.name!r}: option {option!r}", value, known[option])
         try:
-            return cls(**spec.options)
+            made = cls(**spec.options)
         except (TypeError, ValueError) as error:
             raise PluginError(f"{kind} {spec.name!r} with {dict(spec.options)}: {error}") from error
+        if not isinstance(made, PROTOCOLS[kind]):
+            wanted = f"lampopt.protocols.{PROTOCOLS[kind].__name__}"
+            raise PluginError(f"{kind} {spec.name!r}: {made!r} of {offer} lacks what {wanted} asks for")
+        return made
 
     def recorded(self, result: Result, folder: Path) -> None:
         """Tell every observer about a result on disk; what one raises is logged and loses nothing."""
@@ -198,11 +215,11 @@ def _register(
     plugin: object,
     owner: tuple[str, str],
     owners: dict[str, tuple[str, str]],
-    problems: list[Problem],
+    problems: list[Fault],
 ) -> None:
     """Register one plugin; drop it again, with the reason, if a hook of it is misspelt or misshapen."""
     if name in owners:
-        problems.append(Problem(name, *owner, f"a plugin of this name is already loaded from {owners[name][0]}"))
+        problems.append(Fault(name, *owner, f"a plugin of this name is already loaded from {owners[name][0]}"))
         return
     try:
         if manager.register(plugin, name) is None:
@@ -211,17 +228,17 @@ def _register(
     except (pluggy.PluginValidationError, PluginError, ValueError) as error:
         if manager.has_plugin(name):
             manager.unregister(name=name)
-        problems.append(Problem(name, *owner, str(error)))
+        problems.append(Fault(name, *owner, str(error)))
         return
     if not manager.get_hookcallers(plugin):
         manager.unregister(name=name)
-        problems.append(Problem(name, *owner, "has no hooks: mark its functions with @lampopt.hookimpl"))
+        problems.append(Fault(name, *owner, "has no hooks: mark its functions with @lampopt.hookimpl"))
         return
     owners[name] = owner
 
 
 def _offers(
-    manager: pluggy.PluginManager, owners: Mapping[str, tuple[str, str]], problems: list[Problem]
+    manager: pluggy.PluginManager, owners: Mapping[str, tuple[str, str]], problems: list[Fault]
 ) -> tuple[dict[tuple[str, str], Offer], dict[tuple[str, str], tuple[Offer, ...]]]:
     """Call each plugin's registry hooks on their own, so that one that raises costs only itself."""
     found: dict[tuple[str, str], list[Offer]] = {}
@@ -237,7 +254,7 @@ def _offers(
                 ):
                     raise TypeError(f"expected a mapping of names to classes or 'module:Class', got {mapping!r}")
             except Exception as error:  # noqa: BLE001  # whatever a stranger's hook raises
-                problems.append(Problem(plugin, *owner, f"hook lampopt_{kind}s failed: {error!r}"))
+                problems.append(Fault(plugin, *owner, f"hook lampopt_{kind}s failed: {error!r}"))
                 continue
             for name, target in mapping.items():
                 found.setdefault((kind, name), []).append(Offer(kind, name, target, plugin, *owner))
@@ -247,7 +264,7 @@ def _offers(
         for rival in rivals:
             others = " and ".join(str(r) for r in rivals if r is not rival)
             problems.append(
-                Problem(rival.plugin, rival.distribution, rival.version, f"{kind} {name!r} is also given by {others}")
+                Fault(rival.plugin, rival.distribution, rival.version, f"{kind} {name!r} is also given by {others}")
             )
     return offers, clashes
 

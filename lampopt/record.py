@@ -2,7 +2,7 @@
 
     study.toml     what was asked last
     runs.sqlite    a row per design: targets, alpha, checks, status, time
-    designs/KEY/   mesh and passport.json of each design that has a mesh
+    designs/KEY/   mesh and passport.json of each design whose mesh was made
 
 A design's key is the hash of bank, resolved study and target: a row that is there is never computed again. Files are
 written aside and renamed, the row comes last, so a run that is killed at any moment goes on where it stopped.
@@ -16,23 +16,25 @@ import shutil
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.types import Bank, Check, Design, Mix, Result
+from lampopt.meshfile import FORMATS
+from lampopt.types import Bank, Check, Conflict, Design, Mix, Result
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SCHEMA = """
-CREATE TABLE IF NOT EXISTS designs (
+SCHEMA = 1  # the database's user_version
+TABLE = """
+CREATE TABLE designs (
     key TEXT PRIMARY KEY, target TEXT NOT NULL, alpha BLOB NOT NULL, residual BLOB NOT NULL, status TEXT NOT NULL,
-    message TEXT NOT NULL, checks TEXT NOT NULL, accepted INTEGER NOT NULL, provenance TEXT NOT NULL,
-    mesh TEXT, seconds REAL NOT NULL
+    message TEXT NOT NULL, conflicts TEXT NOT NULL, checks TEXT NOT NULL, accepted INTEGER NOT NULL,
+    provenance TEXT NOT NULL, mesh TEXT, seconds REAL NOT NULL
 )"""
 
 
@@ -51,7 +53,7 @@ class RunFolder:
         Raises
         ------
         InputError
-            If another process has it, or it cannot be written.
+            If another process has it, it cannot be written, or its database has another schema.
         """
         from filelock import FileLock, Timeout
 
@@ -65,8 +67,7 @@ class RunFolder:
                 FileLock(folder / "runs.lock", timeout=0),
                 closing(sqlite3.connect(folder / "runs.sqlite")) as database,
             ):
-                database.execute(SCHEMA)
-                database.commit()
+                _prepare(database, folder / "runs.sqlite")
                 yield cls(folder, database)
         except Timeout as error:
             raise InputError(
@@ -79,24 +80,21 @@ class RunFolder:
         """Keep what was asked."""
         _replace(self.folder / "study.toml", text)
 
-    def place(self, key: str) -> Path:
-        """The folder of the design called `key`."""
-        return self.folder / "designs" / key
-
-    def write(self, key: str, result: Result, bank: Bank, *, form: str, seconds: float) -> Path:
-        """Put a result on disk: mesh, passport, then the row. Returns the design's folder."""
-        design, place = result.design, self.place(key)
+    def write(self, key: str, result: Result, bank: Bank, *, form: str, seconds: float) -> Result:
+        """Put a result on disk: mesh and passport where a mesh was made, then the row. Returns it with its folder."""
+        design, folder = result.design, self.folder
         mesh = design.__dict__.get("mesh")  # only a mesh that was made: recording decodes nothing
-        aside = place.with_name(place.name + ".writing")
-        shutil.rmtree(aside, ignore_errors=True)
-        aside.mkdir()
         if mesh is not None:
+            folder = self._place(key)
+            aside = folder.with_name(folder.name + ".writing")
+            shutil.rmtree(aside, ignore_errors=True)
+            aside.mkdir()
             mesh.export(aside / f"mesh.{form}")
-        _replace(aside / "passport.json", json.dumps(passport(result, bank), indent=2))
-        shutil.rmtree(place, ignore_errors=True)
-        os.replace(aside, place)
+            _replace(aside / "passport.json", json.dumps(passport(result, bank), indent=2))
+            shutil.rmtree(folder, ignore_errors=True)
+            os.replace(aside, folder)
         self.database.execute(
-            "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?)",
+            "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?,?)",
             (
                 key,
                 json.dumps(dict(design.target)),
@@ -104,6 +102,7 @@ class RunFolder:
                 design.mix.residual.tobytes(),
                 design.mix.status,
                 design.mix.message,
+                json.dumps([[conflict.names, conflict.amounts.tolist()] for conflict in design.mix.conflicts]),
                 json.dumps([_as_row(check) for check in result.checks]),
                 int(result.accepted),
                 json.dumps(dict(result.provenance)),
@@ -112,21 +111,46 @@ class RunFolder:
             ),
         )
         self.database.commit()
-        return place
+        return replace(result, folder=folder)
 
     def read(self, key: str, rebuild: Callable[[Mapping[str, float], Mix, Path | None], Design]) -> Result | None:
         """The result recorded under `key`, its design made by `rebuild` (target, mix, mesh file), or None."""
         row = self.database.execute(
-            "SELECT target, alpha, residual, status, message, checks, provenance, mesh FROM designs WHERE key = ?",
+            "SELECT target, alpha, residual, status, message, conflicts, checks, provenance, mesh FROM designs "
+            "WHERE key = ?",
             (key,),
         ).fetchone()
         if row is None:
             return None
-        target, alpha, residual, status, message, checks, provenance, mesh = row
-        mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message)
-        design = rebuild(json.loads(target), mix, self.place(key) / mesh if mesh else None)
+        target, alpha, residual, status, message, conflicts, checks, provenance, mesh = row
+        clashes = tuple(Conflict(tuple(names), np.array(amounts)) for names, amounts in json.loads(conflicts))
+        mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message, clashes)
+        place = self._place(key)
+        design = rebuild(json.loads(target), mix, place / mesh if mesh else None)
         found = tuple(_from_row(check) for check in json.loads(checks))
-        return Result(design, found, json.loads(provenance), self.place(key))
+        return Result(design, found, json.loads(provenance), place if mesh and place.is_dir() else self.folder)
+
+    def _place(self, key: str) -> Path:
+        return self.folder / "designs" / key
+
+
+def _prepare(database: sqlite3.Connection, path: Path) -> None:
+    """Make the table in a fresh database; refuse one of another schema.
+
+    Rows are written ahead (WAL) without waiting for the disk at each, which would cost more than a design. A kill
+    loses none; a power cut may lose the last, and they are computed again.
+    """
+    (schema,) = database.execute("PRAGMA user_version").fetchone()
+    (tables,) = database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if not (schema or tables):
+        database.executescript(f"BEGIN; {TABLE}; PRAGMA user_version = {SCHEMA}; COMMIT")
+    elif schema != SCHEMA:
+        raise InputError(
+            f"{path}: has schema {schema}, this lampopt reads {SCHEMA}: name another folder, or use the lampopt that "
+            "wrote it"
+        )
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("PRAGMA synchronous = NORMAL")
 
 
 def _as_row(check: Check) -> list[Any]:
@@ -179,8 +203,8 @@ def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
     """
     path = Path(path)
     form = path.suffix.lower().lstrip(".")
-    if form not in ("stl", "obj", "ply", "glb"):
-        raise InputError(f"{path}: expected a file name ending in .stl, .obj, .ply or .glb")
+    if form not in FORMATS:
+        raise InputError(f"{path}: expected a file name ending in .{', .'.join(FORMATS)}")
     aside = path.with_name(path.name + ".writing")
     try:
         mesh.export(aside, file_type=form)

@@ -7,13 +7,15 @@ is normalised to [-1, 1] over the bank, so that rows weigh alike.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lampopt.errors import StudyError
 from lampopt.protocols import Solver
 from lampopt.types import Array, Bank, Conflict, Mix, Problem
+
+MET = "every target is met"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,10 @@ def column(bank: Bank, name: str) -> Column:
     StudyError
         If there is none, or all exemplars agree in it, so that no mix can move it.
     """
-    known = columns(bank)
+    return _movable(columns(bank), name)
+
+
+def _movable(known: Mapping[str, Column], name: str) -> Column:
     if name not in known:
         raise StudyError(f"{name!r}: neither a parameter, a label nor a measured value; known are {', '.join(known)}")
     found = known[name]
@@ -79,7 +84,8 @@ class Posed:
 
     def normalised(self, targets: Array) -> Array:
         """Targets (B, k) in the user's units → normalised rows."""
-        return np.stack([row.normalised(targets[:, i]) for i, row in enumerate(self.rows)], 1)
+        rows = [row.normalised(targets[:, i]) for i, row in enumerate(self.rows)]
+        return np.array(rows, float).reshape(len(self.rows), len(targets)).T
 
     def spread_out(self, alpha: Array) -> Array:
         """Coefficients (..., active) → (..., N), 0 for exemplars that take no part."""
@@ -119,12 +125,11 @@ def pose(
         If a name is unknown or cannot be moved, the reference is unknown or lacks a label that is asked for.
     """
     ranges = dict(ranges or {})
-    rows = tuple(column(bank, name) for name in targets)
-    limits = tuple(column(bank, name) for name in ranges)
-    known = (
-        np.all([~np.isnan(c.values) for c in (*rows, *limits)], axis=0) if rows or limits else np.ones(len(bank), bool)
-    )
-    active = np.flatnonzero(known)
+    names = columns(bank)
+    rows = tuple(_movable(names, name) for name in targets)
+    limits = tuple(_movable(names, name) for name in ranges)
+    known = [~np.isnan(c.values) for c in (*rows, *limits)]
+    active = np.flatnonzero(np.all(known, axis=0) if known else np.ones(len(bank), bool))
     if not len(active):
         raise StudyError(f"no exemplar has all of {', '.join(c.name for c in (*rows, *limits))}")
     for low, high in ranges.values():
@@ -165,6 +170,23 @@ def solve(posed: Posed, solver: Solver) -> Mix:
     return Mix(posed.spread_out(mix.alpha), mix.residual, mix.status, explain(posed, mix), mix.conflicts)
 
 
+def solve_many(posed: Posed, targets: Sequence[Mapping[str, float]], solver: Solver) -> list[Mix]:
+    """As `solve`, for many targets of the posed problem's names, in one call to the solver.
+
+    A batch tells no reasons, so those that are not met exactly are solved again, one by one.
+    """
+    rows = np.array([[target[name] for name in posed.problem.names] for target in targets], float)
+    normalised = posed.normalised(rows)
+    batch = solver.solve_many(posed.problem, normalised)
+    alpha = posed.spread_out(batch.alpha)
+    return [
+        Mix(mix, residual, status, MET)
+        if status == "exact"
+        else solve(replace(posed, problem=replace(posed.problem, target=row)), solver)
+        for mix, residual, status, row in zip(alpha, batch.residual, batch.status, normalised, strict=True)
+    ]
+
+
 def explain(posed: Posed, mix: Mix) -> str:
     """The status in plain words: for a conflict, the nearest values that the rows can have together."""
     if not mix.conflicts:
@@ -175,6 +197,9 @@ def explain(posed: Posed, mix: Mix) -> str:
 def _nearest(posed: Posed, conflict: Conflict) -> str:
     said = []
     for name, amount in zip(conflict.names, conflict.amounts, strict=True):
+        if name not in posed.problem.names:  # a range
+            said.append(name)
+            continue
         i = posed.problem.names.index(name)
         row = posed.rows[i]
         asked, step = (posed.problem.target[i] + 1) / 2 * row.spread + row.low, amount / 2 * row.spread

@@ -12,12 +12,12 @@ from typing import Any
 
 from lampopt.errors import InputError, StudyError
 from lampopt.lamp import load_bank
+from lampopt.meshfile import FORMATS
 from lampopt.solve import column
 from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
 from lampopt.units import number
 
 Value = float | str
-FORMATS = ("stl", "obj", "ply", "glb")
 
 
 @dataclass(frozen=True)

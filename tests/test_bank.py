@@ -229,7 +229,7 @@ class NoDecoderPlugin:
 
 
 def test_what_is_no_decoder_is_refused():
-    with pytest.raises(PluginError, match=r"decoder 'no': .* lacks what lampopt.protocols.Decoder asks for"):
+    with pytest.raises(PluginError, match=r"decoder 'no'.* lacks what lampopt.protocols.Decoder asks for"):
         small.bank(decoder="no", plugins=small.plugins(("no", NoDecoderPlugin())))
 
 
@@ -390,14 +390,37 @@ def test_killed_between_the_file_and_the_tidying(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.lamp"]
 
 
-def test_a_damaged_part_is_refused_not_used(tmp_path):
-    interrupted(tmp_path / "a.lamp", 3)
-    part = tmp_path / "a.lamp.partial" / "batch_0001.safetensors"
+def damage(part):
     raw = bytearray(part.read_bytes())
     raw[-1] ^= 1
     part.write_bytes(raw)
-    with pytest.raises(BankError, match=r"batch_0001.*damaged"):
-        small.bank(store=tmp_path / "a.lamp")
+
+
+def test_a_damaged_part_is_said_and_fitted_again(tmp_path, caplog):
+    interrupted(tmp_path / "a.lamp", 4)
+    damage(tmp_path / "a.lamp.partial" / "batch_0001.safetensors")
+    small.CALLS.clear()
+    with caplog.at_level(logging.WARNING, "lampopt"):
+        bank = small.bank(store=tmp_path / "a.lamp")
+    assert "batch_0001" in caplog.text and "damaged; it is fitted again" in caplog.text
+    assert (small.CALLS["prepare"], small.CALLS["fit"]) == (0, 2 + 1)  # the damaged batch and the last one
+    assert small.same(bank, small.bank())
+
+
+def test_with_a_damaged_start_the_batches_made_from_it_go_too(tmp_path):
+    interrupted(tmp_path / "a.lamp", 4)
+    damage(tmp_path / "a.lamp.partial" / "shared.safetensors")
+    small.CALLS.clear()
+    bank = small.bank(store=tmp_path / "a.lamp")
+    assert (small.CALLS["prepare"], small.CALLS["fit"]) == (1, 7)
+    assert small.same(bank, small.bank())
+
+
+def test_a_store_half_written_by_a_killed_build_is_tidied(tmp_path):
+    interrupted(tmp_path / "a.lamp", 2)
+    (tmp_path / "a.lamp.4711.writing").write_bytes(b"half of it")
+    small.bank(store=tmp_path / "a.lamp")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.lamp"]
 
 
 BUILD = """
@@ -438,3 +461,106 @@ def wait_for(path, process):
         assert process.poll() is None, "the build ended before it could be killed"
         time.sleep(0.01)
     raise AssertionError(f"{path} never came")
+
+
+def test_two_processes_do_not_build_one_store(tmp_path):
+    store, folder = tmp_path / "a.lamp", tmp_path / "a.lamp.partial"
+    code = BUILD.format(here=str(HERE), store=str(store))
+    process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "SMALL_SLOW": "0.5"})
+    try:
+        wait_for(folder / "plan.json", process)
+        with pytest.raises(BankError, match="another process builds this bank"):
+            small.bank(store=store)
+        with pytest.raises(BankError, match="made from other exemplars"):
+            small.bank(store=store, seed=1)
+        assert not small.CALLS
+        assert process.wait(60) == 0
+    finally:
+        process.kill()
+        process.wait()
+    bank = small.bank(store=store)
+    assert not small.CALLS["fit"]
+    assert small.same(bank, small.bank())
+    assert [p.name for p in tmp_path.iterdir()] == ["a.lamp"]
+
+
+def test_a_store_finished_by_another_while_we_measured_is_loaded(tmp_path, monkeypatch):
+    store = tmp_path / "a.lamp"
+
+    def meanwhile(*args):
+        monkeypatch.undo()
+        small.bank(store=store)
+        small.CALLS.clear()
+        return np.empty((7, 0))
+
+    monkeypatch.setattr("lampopt.bank.measure_all", meanwhile)
+    bank = small.bank(store=store)
+    assert not small.CALLS
+    assert bank.path == store
+    assert [p.name for p in tmp_path.iterdir()] == ["a.lamp"]
+
+
+# limits, hashes, what every batch is given
+
+
+def test_limits_are_kept_and_changed_without_fitting(tmp_path):
+    assert small.bank().limits == {}
+    bank = small.bank(store=tmp_path / "a.lamp", limits={"alpha": np.float32(2), "mismatch": 0})
+    assert bank.limits == {"alpha": 2.0, "mismatch": 0.0}
+    small.CALLS.clear()
+    assert small.bank(store=tmp_path / "a.lamp").limits == bank.limits  # not said: left as they are
+    assert small.bank(store=tmp_path / "a.lamp", limits={"alpha": 1}).limits == {"alpha": 1.0}
+    assert lampopt.load_bank(tmp_path / "a.lamp").limits == {"alpha": 1.0}
+    assert small.bank(store=tmp_path / "a.lamp", limits={}).limits == {}
+    assert not small.CALLS
+
+
+@pytest.mark.parametrize("limit", [-0.1, float("nan"), float("inf"), "2", None, True, 1j, np.complex64(1)])
+def test_limits_are_numbers_from_0(limit):
+    with pytest.raises(InputError, match="limits: expected names with finite numbers, 0 or more, got 'alpha'"):
+        small.bank(limits={"alpha": limit})
+    assert not small.CALLS
+
+
+def test_provenance_tells_meshes_and_start_apart():
+    one = small.bank().provenance
+    assert small.bank(batch=3, seed=9).provenance["start"] == one["start"]  # this decoder draws nothing
+    assert small.bank(batch=3, seed=9).provenance["meshes"] == one["meshes"]
+    truth = small.bank(small.boxes(mesh_at=True)).provenance  # the start is then at the mean design
+    assert (truth["meshes"] == one["meshes"], truth["start"] == one["start"]) == (True, False)
+    meshes = [*small.boxes().meshes]
+    meshes[1] = shapes.box([2.2, 1.4, 0.9])  # no part in the start
+    other = small.bank(small.boxes(meshes=meshes)).provenance
+    assert (other["meshes"] == one["meshes"], other["start"] == one["start"]) == (False, True)
+
+
+class Scribbles(small.Stretch):
+    def prepare(self, meshes, *, mean, seed):
+        return {"mean": np.array(mean.extents)}
+
+    def fit(self, shared, meshes, *, seed, progress=None):
+        shared["mean"][:] = 0
+        return super().fit(shared, meshes, seed=seed)
+
+
+class Swaps(small.Stretch):
+    def fit(self, shared, meshes, *, seed, progress=None):
+        shared["mean"] = np.zeros(3)
+        return super().fit(shared, meshes, seed=seed)
+
+
+class ScribblesPlugin:
+    @lampopt.hookimpl
+    def lampopt_decoders(self):
+        return {"scribbles": Scribbles, "swaps": Swaps}
+
+
+@pytest.mark.parametrize("stored", [True, False])
+@pytest.mark.parametrize(
+    ("decoder", "error", "message"),
+    [("scribbles", ValueError, "read-only"), ("swaps", TypeError, "does not support item assignment")],
+)
+def test_what_is_shared_cannot_be_changed_by_a_fit(tmp_path, stored, decoder, error, message):
+    plugins = small.plugins(("scribbles", ScribblesPlugin()))
+    with pytest.raises(error, match=message):
+        small.bank(decoder=decoder, plugins=plugins, store=tmp_path / "a.lamp" if stored else None)

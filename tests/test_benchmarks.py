@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -139,3 +140,21 @@ def test_the_plate_table_end_to_end(tmp_path, capsys):
 def test_wrong_options_are_said_and_exit_2(tmp_path, capsys):
     assert fidelity.main(["--decoder", "no-such", "--table", "plate", "--quick", "--cache", str(tmp_path)]) == 2
     assert "no-such" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["steps", "=3", ""])
+def test_an_option_without_a_value_is_said_and_exits_2(text, capsys):
+    with pytest.raises(SystemExit) as caught:
+        fidelity.main(["--decoder-set", text])
+    assert caught.value.code == 2
+    assert f"--decoder-set: expected NAME=VALUE, got {text!r}" in capsys.readouterr().err
+
+
+def test_options_of_the_decoder_are_read():
+    given = ["--decoder-set", "steps=40", "--decoder-set", "rate=1e-3", "--decoder-set", "kind=a=b"]
+    assert dict(fidelity.arguments(given).decoder_set) == {"steps": 40, "rate": 1e-3, "kind": "a=b"}
+
+
+def test_the_page_that_it_names_exists():
+    (page,) = re.findall(r"docs/\S+\.md", fidelity.__doc__)
+    assert (HERE.parent / page).exists()

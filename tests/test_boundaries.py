@@ -21,6 +21,7 @@ LAYERS = (
     {"types"},
     {"units", "topology", "metrics", "meshfile", "protocols", "hookspecs"},
     {"plugins", "lamp", "progress"},
+    {"partial"},
     {"measured"},
     {"exemplars", "measured"},
     {"bank"},

@@ -22,13 +22,12 @@ from lampopt.check import (
     mismatches,
     stranger_checks,
 )
-from lampopt.errors import InputError, MeasureError, StudyError
+from lampopt.errors import BankError, InputError, MeasureError, StudyError
 from lampopt.mix import mixed_weights
 from lampopt.plugins import Plugins
-from lampopt.solve import pose, solve
+from lampopt.solve import pose
 from lampopt.testing import shapes
 from lampopt.types import Bank, Check, Design, Frame, Mix, Parameter
-from lampopt_kkt.kkt import KKT
 
 TUTORIAL = str(Path(__file__).parent.parent / "examples" / "third_party_decoder")
 sys.path[:0] = [TUTORIAL] if TUTORIAL not in sys.path else []
@@ -261,21 +260,60 @@ def test_a_box_too_long_for_the_decoders_box_is_cut(grid_bank):
     assert result.check("watertight").passed
 
 
+def told(mix, posed=None, bank=None, **limits):
+    bank = bank or bank_of(Linear(), np.zeros((3, 4)), np.zeros((1, 3)))
+    posed = posed or pose(bank, {"length": 1.5})
+    return {check.name: check for check in alpha_checks(posed, mix, Limits.of(bank, limits))}
+
+
 def test_unmet_targets_are_told_by_the_worst_row():
-    bank = bank_of(Linear(), np.zeros((3, 4)), np.zeros((1, 3)))
-    posed = pose(bank, {"length": 1.5})
-    mix = replace(solve(posed, KKT()), residual=np.array([-0.3]), status="inexact", message="held off")
-    target, alpha = alpha_checks(posed, mix, Limits.of(bank, {}))
+    middle = np.full(3, 1 / 3)
+    checks = told(Mix(middle, np.array([0.1, -0.3, 0.2]), "inexact", "held off"))
+    target = checks["target"]
     assert (target.value, target.limit, target.passed, target.note) == (0.3, 0.02, False, "held off")
-    assert alpha.value == pytest.approx(0, abs=1e-12)
-    assert target.needs == alpha.needs == "alpha"
+    assert checks["alpha"].value == pytest.approx(0, abs=1e-12)
+    assert {check.needs for check in checks.values()} == {"alpha"}
+    assert told(Mix(middle, np.array([-0.3]), "inexact"), target=0.5)["target"].passed
+    assert told(Mix(middle, np.zeros(1), "exact"))["target"].passed
+
+
+def test_a_solver_that_gave_up_is_no_answer():
+    checks = told(Mix(np.full(3, 1 / 3), np.zeros(1), "failed", "no progress"))
+    assert not checks["solved"].passed
+    assert checks["solved"].note == "no progress"
+    for status in ("exact", "inexact", "infeasible"):
+        assert told(Mix(np.full(3, 1 / 3), np.zeros(1), status))["solved"].passed
+
+
+def test_hard_targets_have_no_room():
+    bank = bank_of(Linear(), np.zeros((3, 4)), np.zeros((1, 3)), measured_by={"length": "extents.length"},
+                   measured=np.array([[1.0], [2.0], [1.5]]))  # fmt: skip
+    posed = pose(bank, {"length": 1.5, "extents.length": 1.5}, hard=["extents.length"])
+    near = Mix(np.full(3, 1 / 3), np.array([0.01, 0.0]), "inexact")
+    assert told(near, posed, bank)["hard"].passed
+    assert told(near, posed, bank)["target"].passed
+    off = told(Mix(np.full(3, 1 / 3), np.array([0.0, 0.01]), "inexact"), posed, bank)
+    assert off["target"].passed
+    assert not off["hard"].passed
+    assert "hard" not in told(near)
+
+
+@pytest.mark.parametrize(("alpha", "outside"), [([0, 1, 0], 0), ([1, 0, 0], 0.4), ([0, 0, 1], 0.4), ([0, -1, 2], 1.4)])
+def test_ranges_are_judged_though_no_solver_kept_them(alpha, outside):
+    bank = bank_of(Linear(), np.zeros((3, 4)), np.zeros((1, 3)))  # lengths 1, 1.5, 2: -1, 0, 1 over the bank
+    posed = pose(bank, {}, ranges={"length": (1.2, 1.8)})
+    check = told(Mix(np.array(alpha, float), np.zeros(0), "exact"), posed, bank)["range"]
+    assert check.value == pytest.approx(outside, abs=1e-12)
+    assert check.passed == (outside == 0)
+    assert ("length (range)" in check.note) == (outside > 0)
+    assert "range" not in told(Mix(np.array(alpha, float), np.zeros(1), "exact"))
 
 
 def test_alpha_is_counted_from_the_reference():
     bank = bank_of(Linear(), np.zeros((3, 4)), np.zeros((1, 3)))
-    posed = pose(bank, {"length": 1.0}, reference="e2")
     away = Mix(np.array([1.0, 0, 0]), np.zeros(1), "exact")
-    assert alpha_checks(posed, away, Limits.of(bank, {}))[1].value == pytest.approx(np.sqrt(2))
+    posed = pose(bank, {"length": 1.0}, reference="e2")
+    assert told(away, posed, bank)["alpha"].value == pytest.approx(np.sqrt(2))
 
 
 def test_limits_are_the_studys_then_the_banks_then_the_defaults():
@@ -289,14 +327,28 @@ def test_limits_are_the_studys_then_the_banks_then_the_defaults():
     assert limits["alpha"] == 7.0
     assert limits["clearance"] == DEFAULTS["clearance"]
     assert limits["mismatch.band"] == DEFAULTS["mismatch.band"]
-    # drift holds for every parameter without a limit of its own
+    # drift holds for every parameter without a limit of its own, the study's before the bank's
     assert limits["drift.length"] == 0.3
     assert limits["drift"] == DEFAULTS["drift"]
-    assert Limits.of(bank, {"drift": 0.01})["drift.length"] == 0.3
+    assert Limits.of(bank, {"drift": 0.01})["drift.length"] == 0.01
+    assert Limits.of(bank, {"drift": 0.01, "drift.length": 0.02})["drift.length"] == 0.02
+    # the band has a limit of its own, which one for the whole box does not touch
+    assert Limits.of(bank, {"mismatch": 0.5})["mismatch.band"] == DEFAULTS["mismatch.band"]
     assert Limits.of(bank, {"drift.length": 0.01})["drift.length"] == 0.01
     plain = replace(bank, limits={})
     assert Limits.of(plain, {})["drift.length"] == DEFAULTS["drift"]
     assert Limits.of(plain, {"drift": 0.01})["drift.length"] == 0.01
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf, True, "0.1"])
+def test_a_limit_is_a_number_of_at_least_nothing(bad):
+    bank = bank_of(Linear(), np.zeros((3, 4)), np.zeros((1, 3)))
+    with pytest.raises(StudyError, match="limits: alpha: expected a finite number of at least 0"):
+        Limits.of(bank, {"alpha": bad})
+    with pytest.raises(BankError, match="limits of the bank: alpha: expected a finite number of at least 0"):
+        Limits.of(replace(bank, limits={"alpha": bad}), {})
+    with pytest.raises(BankError, match="limits of the bank: unknown alhpa"):
+        Limits.of(replace(bank, limits={"alhpa": 1.0}), {})
 
 
 @pytest.mark.parametrize("name", ["mismach", "drift.width", "watertight", ""])

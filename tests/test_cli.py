@@ -8,8 +8,10 @@ import io
 import json
 import logging
 import re
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -398,7 +400,11 @@ def test_sweep(call, ask, study):
     assert re.search(r"1 +0 +1\.1 +yes", err)
     assert re.search(r"3 +0 +-30 +NO +target|3 +0 +-30 +NO +alpha", err)
     assert "length [m]" in err
-    assert len(list((study.parent / "runs" / "roof" / "designs").iterdir())) == 5
+    place = study.parent / "runs" / "roof"
+    with closing(sqlite3.connect(place / "runs.sqlite")) as database:
+        rows = database.execute("SELECT mesh FROM designs").fetchall()
+    assert len(rows) == 5
+    assert len(list((place / "designs").iterdir())) == 5 - rows.count((None,))  # a folder where there is a mesh
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The documentation says what is so: its programs run, its lists are whole."""
 
+import ast
 import dataclasses
 import re
 import shutil
@@ -89,6 +90,42 @@ def test_every_public_name_is_documented():
     records = set(lampopt.types.__all__)
     for name in set(lampopt.__all__) - records:
         assert re.search(rf":: {name}$", api, re.MULTILINE), name
+
+
+def imported_from_lampopt(code):
+    """(module, name) of every import from lampopt in `code`."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "lampopt":
+            yield from ((node.module, alias.name) for alias in node.names)
+
+
+def test_every_name_that_an_example_imports_is_documented():
+    api = text("docs/api.md")
+    codes = [path.read_text(encoding="utf-8") for path in (ROOT / "examples").rglob("*.py")]
+    codes += [program for page in PAGES for program in programs(page)]
+    found = {pair for code in codes for pair in imported_from_lampopt(code)}
+    assert ("lampopt.record", "passport") in found
+    for module, name in found:
+        assert f"`{module}`" in api.split("## ")[0], f"{module} is not among the public modules"
+        if f"automodule:: {module}\n" not in api:
+            current = api.split(f"currentmodule:: {module}\n")[1].split("```")[0]
+            assert re.search(rf":: {name}$", current, re.MULTILINE), f"{module}.{name}"
+
+
+def test_contents_are_listed_page_by_page():
+    index = text("docs/index.md")
+    assert ":glob:" not in index
+    listed = re.findall(r"^[\w-]+$", "".join(programs(ROOT / "docs/index.md", "{toctree}")), re.MULTILINE)
+    assert sorted(listed) == sorted(path.stem for path in (ROOT / "docs").glob("*.md") if path.stem != "index")
+
+
+def test_no_optional_ability_is_promised_that_nothing_uses():
+    """What docs/writing-a-decoder.md says of DesignChecks, Pullback and Displace."""
+    core = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "lampopt").glob("*.py"))
+    page = " ".join(text("docs/writing-a-decoder.md").split())
+    assert "isinstance(decoder, DesignChecks)" in core
+    used = any(re.search(rf"isinstance\(\w+, {ability}\)", core) for ability in ("Pullback", "Displace"))
+    assert used != ("nothing calls them yet" in page)
 
 
 def test_letters_are_defined_once():

@@ -7,11 +7,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
+from threadpoolctl import ThreadpoolController, threadpool_info, threadpool_limits
 
 from lampopt.errors import InputError, SolveError
 from lampopt.plugins import Plugins
 from lampopt.testing import solver_checks
 from lampopt.types import Problem
+from lampopt_kkt import kkt
 from lampopt_kkt.kkt import KKT
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
@@ -72,6 +74,28 @@ def slsqp(p):
         lambda a: cost(p, a), p.centre, method="SLSQP", constraints=[kept], options={"ftol": 1e-15, "maxiter": 500}
     )
     return found.x
+
+
+@pytest.mark.parametrize("outside", [1, 2])
+def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside):
+    def threads():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    inside, real = [], kkt._solve
+    monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(threads()) or real(*args))
+    with threadpool_limits(outside, "blas"):
+        KKT().solve(problem())
+        assert threads() == {outside}
+    assert inside == [{1}]
+
+
+def test_thread_pools_are_looked_for_once(monkeypatch):
+    looked = []
+    monkeypatch.setattr(kkt, "ThreadpoolController", lambda: looked.append(1) or ThreadpoolController())
+    kkt._libraries.cache_clear()
+    for seed in range(3):
+        KKT().solve(problem(seed))
+    assert len(looked) == 1
 
 
 @solver_checks(KKT())

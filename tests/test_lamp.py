@@ -1,6 +1,7 @@
 """`.lamp` files: everything comes back, nothing damaged or hostile is taken for a bank."""
 
 import json
+import os
 import struct
 import sys
 from dataclasses import replace
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lampopt import lamp, load_bank, store_bank
-from lampopt.errors import BankError
+from lampopt.errors import BankError, InputError
 from lampopt.types import Bank, Frame, Parameter, Spec
 
 HERE = Path(__file__).parent
@@ -162,8 +163,10 @@ def test_other_byte_orders_and_odd_layouts_come_back(tmp_path):
 
 @pytest.mark.parametrize("array", [np.array(["text"]), np.array([1j]), np.array([None])], ids=repr)
 def test_arrays_that_a_file_cannot_hold_are_refused_by_name(tmp_path, array):
-    with pytest.raises(BankError, match=r"shared\.odd.*dtype"):
-        store_bank(tiny(shared={"odd": array}), tmp_path / "a.lamp")
+    with pytest.raises(InputError, match="shared 'odd'.*array of numbers"):
+        tiny(shared={"odd": array})
+    with pytest.raises(BankError, match=r"odd.*dtype"):
+        lamp.write(tmp_path / "a.lamp", {"odd": array}, {})
     assert not list(tmp_path.iterdir())
 
 
@@ -338,3 +341,21 @@ def test_every_older_schema_has_a_migration_and_a_file():
     assert set(lamp.MIGRATIONS) == set(range(1, lamp.SCHEMA))
     for schema in range(1, lamp.SCHEMA + 1):
         assert (HERE / "data" / f"bank_schema{schema}.lamp").exists()
+
+
+def test_two_processes_writing_one_file_do_not_meet(tmp_path, monkeypatch):
+    """While one writes, another one writes the same file from beginning to end."""
+    import safetensors.numpy
+
+    path, save, me = tmp_path / "a.lamp", safetensors.numpy.save_file, os.getpid()
+
+    def interrupted(arrays, place, metadata):
+        save(arrays, place, metadata)
+        monkeypatch.setattr(safetensors.numpy, "save_file", save)
+        monkeypatch.setattr(os, "getpid", lambda: me + 1)
+        lamp.write(path, {"other": np.ones(2)}, {})
+
+    monkeypatch.setattr(safetensors.numpy, "save_file", interrupted)
+    lamp.write(path, {"mine": np.zeros(3)}, {})
+    assert set(lamp.read(path)[0]) == {"mine"}
+    assert [p.name for p in tmp_path.iterdir()] == ["a.lamp"]

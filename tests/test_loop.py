@@ -3,6 +3,8 @@
 import json
 import logging
 import os
+import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -20,12 +22,16 @@ import trimesh
 import lampopt
 from lampopt import Reduce, Spec, Study
 from lampopt.errors import InputError, LampoptError, MeasureError, PluginError, SolveError, StudyError
+from lampopt.meshfile import FORMATS, load_mesh
+from lampopt.record import export_mesh, passport
 from lampopt.testing import shapes
 from lampopt.types import Frame, Mix
+from lampopt_kkt.kkt import KKT
 
 HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
 import small  # noqa: E402
+import toys  # noqa: E402
 
 TARGET = {"length": 2.9, "width": 1.2}
 GRID = {"length": [2.1, 2.3, 2.5], "width": [1.1, 1.2]}
@@ -56,7 +62,9 @@ def table(folder, columns="*"):
         return sorted(database.execute(f"SELECT {columns} FROM designs").fetchall())
 
 
-EVERYTHING = "key, target, alpha, residual, status, message, checks, accepted, provenance, mesh"  # but the time it took
+EVERYTHING = (
+    "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh"  # but the time
+)
 
 
 # in memory
@@ -73,7 +81,18 @@ def test_the_shortest_way(bank):
     assert result.design.target == TARGET
     checks = {check.name: check for check in result.checks}
     assert list(checks) == [
-        *("target", "alpha", "mismatch", "mesh", "watertight", "bodies", "genus", "drift.length", "drift.width")
+        *(
+            "solved",
+            "target",
+            "alpha",
+            "mismatch",
+            "mesh",
+            "watertight",
+            "bodies",
+            "genus",
+            "drift.length",
+            "drift.width",
+        )
     ]
     assert checks["drift.length"].value == pytest.approx(0, abs=1e-6)
     assert checks["mismatch"].value < 1e-6
@@ -227,6 +246,138 @@ def test_measure_of_a_mesh():
         lampopt.measure("extent", shapes.box(), plugins=small.plugins())
 
 
+# many at once
+
+
+class Counting:
+    """Solver `count`, which counts what it is asked."""
+
+    @lampopt.hookimpl
+    def lampopt_solvers(self):
+        return {"count": Count, "able": Able, "careless": Careless}
+
+
+@dataclass(frozen=True)
+class Count(KKT):
+    def solve(self, problem):
+        small.CALLS["solve"] += 1
+        return super().solve(problem)
+
+    def solve_many(self, problem, targets, ridges=None):
+        small.CALLS["solve_many"] += len(targets) > 1
+        return super().solve_many(problem, targets, ridges)
+
+
+@dataclass(frozen=True)
+class Able(toys.Able):
+    """Takes ranges."""
+
+    def solve(self, problem):
+        return super().solve(replace(problem, ridge=1e-6))
+
+
+@dataclass(frozen=True)
+class Careless(KKT):
+    """Forgets them."""
+
+    def solve(self, problem):
+        return super().solve(replace(problem, range_names=(), range_matrix=None, range_low=None, range_high=None))
+
+
+COUNTING = ("counting", Counting())
+
+
+def same_results(many, one_by_one):
+    assert len(many) == len(one_by_one)
+    for one, two in zip(many, one_by_one, strict=True):
+        assert one.design.target == pytest.approx(two.design.target)
+        for name in ("alpha", "residual"):
+            np.testing.assert_allclose(getattr(one.design.mix, name), getattr(two.design.mix, name), atol=1e-12)
+        assert (one.design.mix.status, one.design.mix.message) == (two.design.mix.status, two.design.mix.message)
+        assert [c.names for c in one.design.mix.conflicts] == [c.names for c in two.design.mix.conflicts]
+        assert [(c.name, c.limit, c.passed, c.note) for c in one.checks] == [
+            (c.name, c.limit, c.passed, c.note) for c in two.checks
+        ]
+        np.testing.assert_allclose([c.value for c in one.checks], [c.value for c in two.checks], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"reference": "box_1"},
+        {"targets": {"drag": 0.33, "length": 2.5}, "hard": ("length",)},
+        {"solver": Spec("count", ridge=0.01)},
+    ],
+    ids=["plain", "reference", "hard and a label", "ridge"],
+)
+def test_a_sweep_is_solved_at_once_and_equals_one_by_one(bank, asked):
+    asked = {"solver": "count", "level": "field", **asked}
+    grid = {"length": np.linspace(1.8, 3.4, 30), "width": np.linspace(0.9, 1.5, 20)}
+    many = list(sweep(Study(bank, **asked), grid, None, COUNTING))
+    exact = many[0].design.mix.status == "exact"
+    assert exact == ("ridge" not in str(asked["solver"]))
+    assert small.CALLS["solve_many"] == (3 if exact else 0)  # 600 designs in batches of 256
+    assert small.CALLS["solve"] == 3 + (0 if exact else 600)
+    given = asked.pop("targets", {})
+    singly = [
+        run(Study(bank, targets={**given, "length": length, "width": width}, **asked), None, COUNTING)
+        for length in grid["length"][::7]
+        for width in grid["width"][::7]
+    ]
+    chosen = [many[20 * i + j] for i in range(0, 30, 7) for j in range(0, 20, 7)]
+    same_results(chosen, singly)
+
+
+def test_those_of_a_batch_that_cannot_be_met_have_their_reasons(bank):
+    lengths = [2.5, 2.6, 2.7, 2.5]
+    study = Study(bank, targets={"extents.length": 2.5, "width": 1.2}, solver="count", level="alpha")
+    many = list(sweep(study, {"length": lengths}, None, COUNTING))
+    assert [r.design.mix.status for r in many] == ["exact", "infeasible", "infeasible", "exact"]
+    assert small.CALLS["solve_many"] == 1
+    assert small.CALLS["solve"] == 3  # the first, and those that are to be explained
+    assert "length 2.6 → 2.55 m" in many[1].design.mix.message
+    assert "length 2.7 → 2.6 m" in many[2].design.mix.message
+    same_results(many, [run(replace(study, targets={**study.targets, "length": v}), None, COUNTING) for v in lengths])
+
+
+def test_batches_are_of_neighbours_that_ask_for_the_same(bank):
+    tables = [{"length": 2.1}, {"length": 2.2}, {"width": 1.1}, {"length": 2.3}, {"length": 2.4}, {}, {}]
+    study = Study(bank, solver="count", level="alpha")
+    many = list(sweep(study, tables, None, COUNTING))
+    assert small.CALLS["solve_many"] == 3
+    assert [dict(r.design.target) for r in many] == tables
+    same_results(many, [run(replace(study, targets=t), None, COUNTING) for t in tables])
+
+
+def test_a_solver_that_takes_ranges_is_held_to_them(bank):
+    study = Study(bank, targets={"width": 1.2}, ranges={"length": (2.2, 2.4)}, solver="able", level="alpha")
+    result = run(study, None, COUNTING)
+    assert result.accepted
+    assert 2.2 - 1e-4 <= result.design.predicted[0] <= 2.4 + 1e-4
+    result = run(replace(study, solver="careless"), None, COUNTING)
+    assert [check.name for check in result.checks if not check.passed] == ["range"]
+    assert result.check("range").value == pytest.approx(2 * (result.design.predicted[0] - 2.4))  # of 2 to 3 m
+    assert "range" not in [c.name for c in run(Study(bank, targets=TARGET, level="alpha")).checks]
+
+
+def test_what_is_read_back_is_not_solved_again(bank, tmp_path):
+    study = Study(bank, solver="count", level="alpha")
+    list(sweep(study, GRID, tmp_path, COUNTING))
+    small.CALLS.clear()
+    list(sweep(study, GRID, tmp_path, COUNTING))
+    assert not small.CALLS
+
+
+def test_provenance_is_read_once_a_sweep(bank, monkeypatch):
+    asked = []
+    monkeypatch.setattr("lampopt.loop.version", lambda name: asked.append(name) or "1")
+    results = list(sweep(Study(bank, level="alpha"), GRID))
+    assert len(asked) == 1
+    assert {r.provenance["lampopt"] for r in results} == {"1"}
+    assert results[0].provenance is not results[1].provenance
+
+
 # what is asked
 
 
@@ -345,7 +496,7 @@ def test_what_a_run_leaves(bank, tmp_path):
     assert sorted(p.name for p in result.folder.iterdir()) == ["mesh.stl", "passport.json"]
     assert result.folder.parent == folder / "designs"
 
-    ((key, target, alpha, residual, status, _, checks, accepted, provenance, mesh, seconds),) = table(folder)
+    ((key, target, alpha, residual, status, _, _, checks, accepted, provenance, mesh, seconds),) = table(folder)
     assert key == result.folder.name
     assert json.loads(target) == TARGET
     assert np.array_equal(np.frombuffer(alpha), result.design.mix.alpha)
@@ -398,10 +549,14 @@ def test_a_relative_bank_is_named_in_full(bank, tmp_path, monkeypatch):
 @pytest.mark.parametrize("level", ["alpha", "field"])
 def test_a_design_without_mesh_leaves_none(bank, tmp_path, level):
     result = run(Study(bank, targets=TARGET, level=level), tmp_path)
-    assert [p.name for p in result.folder.iterdir()] == ["passport.json"]
+    assert result.folder == tmp_path
+    assert not list((tmp_path / "designs").iterdir())
     assert table(tmp_path, "mesh") == [(None,)]
     assert small.CALLS["decode"] == 0
-    assert run(Study(bank, targets=TARGET, level=level), tmp_path).design.mesh.extents[0] == pytest.approx(2.9)
+    again = run(Study(bank, targets=TARGET, level=level), tmp_path)
+    assert again.folder == tmp_path
+    assert again.design.mesh.extents[0] == pytest.approx(2.9)
+    assert not list((tmp_path / "designs").iterdir())
 
 
 def test_rejected_and_empty_designs_are_rows_too(bank, tmp_path):
@@ -409,11 +564,15 @@ def test_rejected_and_empty_designs_are_rows_too(bank, tmp_path):
     results = list(sweep(study, {"length": [2.5, -9.0]}, tmp_path))
     assert sorted(accepted for (accepted,) in table(tmp_path, "accepted")) == [0, 1]
     assert [(r.folder / "mesh.stl").exists() for r in results] == [True, False]
+    assert [r.folder == tmp_path for r in results] == [False, True]
     again = list(sweep(study, {"length": [2.5, -9.0]}, tmp_path))
     for one, two in zip(results, again, strict=True):
         assert [(c.name, c.passed, c.note) for c in one.checks] == [(c.name, c.passed, c.note) for c in two.checks]
         assert np.allclose([c.value for c in one.checks], [c.value for c in two.checks], equal_nan=True, rtol=0)
-        json.loads((two.folder / "passport.json").read_text(), parse_constant=lambda name: pytest.fail(name))
+        text = json.dumps(passport(two, bank))
+        json.loads(text, parse_constant=lambda name: pytest.fail(name))
+        if two.folder != tmp_path:
+            assert json.loads((two.folder / "passport.json").read_text()) == json.loads(text)
     assert again[1].design.mesh is None
 
 
@@ -427,6 +586,9 @@ def test_what_is_there_is_read_back(bank, tmp_path):
     assert np.array_equal(again.design.weights, first.design.weights)
     assert again.design.mix.status == first.design.mix.status == "infeasible"
     assert again.design.mix.message == first.design.mix.message
+    (clash,), (before,) = again.design.mix.conflicts, first.design.mix.conflicts
+    assert clash.names == before.names == ("length", "extents.length")
+    assert np.array_equal(clash.amounts, before.amounts)
     assert again.checks == first.checks
     assert dict(again.provenance) == dict(first.provenance)
     assert again.folder == first.folder
@@ -435,6 +597,66 @@ def test_what_is_there_is_read_back(bank, tmp_path):
     (first.folder / "mesh.stl").unlink()
     assert run(study, tmp_path).design.mesh.extents == pytest.approx(first.design.mesh.extents)
     assert small.CALLS["decode"] == 1  # the file was lost: made again
+
+
+@pytest.mark.parametrize("lost", ["mesh", "folder", "half", "empty"])
+def test_a_mesh_that_was_lost_is_made_again(bank, tmp_path, lost, caplog):
+    first = run(Study(bank, targets=TARGET), tmp_path)
+    file = first.folder / "mesh.stl"
+    if lost == "mesh":
+        file.unlink()
+    elif lost == "folder":
+        shutil.rmtree(first.folder)
+    else:
+        file.write_bytes(file.read_bytes()[:500] if lost == "half" else b"")
+    again = run(Study(bank, targets=TARGET), tmp_path)
+    assert again.folder == (tmp_path if lost == "folder" else first.folder)
+    assert again.checks == first.checks
+    assert again.design.mesh.extents == pytest.approx(first.design.mesh.extents)
+    assert small.CALLS["decode"] == 2
+    assert ("it is decoded again" in caplog.text) == (lost in ("half", "empty"))
+
+
+def test_a_mesh_that_is_read_back_is_closed_and_has_its_unit(tmp_path):
+    millimetres = small.bank(small.boxes(unit="mm", scale=1000.0))
+    for form in ("stl", "glb"):
+        study = Study(millimetres, targets={"length": 2500.0}, format=form)
+        made = run(study, tmp_path).design.mesh
+        again = run(study, tmp_path).design.mesh
+        assert again.units == made.units == "mm"
+        assert isinstance(again, trimesh.Trimesh)
+        assert again.is_watertight
+        assert len(again.vertices) == len(made.vertices)
+
+
+def other_schema(database):
+    database.execute("PRAGMA user_version = 7")
+
+
+def older_schema(database):
+    database.execute("PRAGMA user_version = 0")
+
+
+@pytest.mark.parametrize(("change", "number"), [(other_schema, 7), (older_schema, 0)])
+def test_a_database_of_another_schema_is_refused(bank, tmp_path, change, number):
+    run(Study(bank, targets=TARGET), tmp_path)
+    with closing(sqlite3.connect(tmp_path / "runs.sqlite")) as database:
+        assert database.execute("PRAGMA user_version").fetchone() == (1,)
+        change(database)
+        database.commit()
+    before = (tmp_path / "runs.sqlite").read_bytes()
+    with pytest.raises(InputError, match=rf"runs\.sqlite: has schema {number}, this lampopt reads 1"):
+        run(Study(bank, targets=TARGET), tmp_path)
+    assert (tmp_path / "runs.sqlite").read_bytes() == before
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_mesh_is_exported_by_its_suffix(tmp_path, form):
+    path = export_mesh(shapes.box([3, 2, 1]), tmp_path / f"box.{form.upper()}")
+    assert load_mesh(path).extents == pytest.approx([3, 2, 1])
+    with pytest.raises(InputError, match=re.escape(f"ending in .{', .'.join(FORMATS)}")):
+        export_mesh(shapes.box(), tmp_path / "box.off")
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("form", ["stl", "obj", "ply", "glb"])
@@ -471,6 +693,50 @@ def test_another_question_is_another_design(bank, tmp_path, change):
     small.CALLS.clear()
     run(study, tmp_path)
     assert small.CALLS["evaluate"] == 0
+
+
+class Second:
+    """Another plugin that measures and judges as the first does, or does not."""
+
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"mine": toys.Size, "its": toys.Volume}
+
+    @lampopt.hookimpl
+    def lampopt_checks(self):
+        return {"quiet": toys.Nothing, "silent": toys.Nothing}
+
+
+@pytest.mark.parametrize(
+    ("one", "two"),
+    [
+        ({"measures": ("mine",)}, {"measures": ("its",)}),
+        ({"checks": ("quiet",)}, {"checks": ("silent",)}),
+        ({"measures": ("mine",)}, {"measures": ("mine", "its")}),
+    ],
+)
+def test_other_measures_or_checks_of_one_plugin_are_another_design(bank, tmp_path, one, two):
+    for asked in (one, two):
+        result = run(Study(bank, targets=TARGET, **asked), tmp_path, ("second", Second()))
+    assert len(table(tmp_path)) == 2
+    names = {check.name.partition(".")[0] for check in result.checks}
+    assert set(asked.get("measures", ())) <= names
+
+
+@pytest.mark.parametrize("asked", [{"measures": ("mine",)}, {"checks": ("quiet",)}], ids=["measures", "checks"])
+def test_a_measure_or_check_of_another_plugin_is_another_design(bank, tmp_path, asked):
+    for name in ("second", "third"):
+        run(Study(bank, targets=TARGET, **asked), tmp_path, (name, Second()))
+    assert len(table(tmp_path)) == 2
+
+
+@pytest.mark.parametrize(("level", "count"), [("mesh", 2), ("field", 1)])
+def test_drift_measured_by_another_plugin_is_another_design(tmp_path, level, count):
+    plugins = small.plugins(("second", Second()))
+    given = small.bank(small.boxes(measured={"length": "mine.length"}), plugins=plugins)
+    for name in ("second", "third"):
+        run(Study(given, targets=TARGET, level=level), tmp_path, (name, Second()))
+    assert len(table(tmp_path)) == count
 
 
 def other_banks(bank):
@@ -660,8 +926,11 @@ def test_solvers_that_do_not_do(bank):
     with pytest.raises(LampoptError, match="sum to 1"):
         run(Study(bank, targets=TARGET, solver="lost"), None, broken)
     result = run(Study(bank, targets=TARGET, solver="failed", level="alpha"), None, broken)
-    assert not result.accepted
-    assert result.check("target").note == "gave up"
+    assert {check.name for check in result.checks if not check.passed} == {"solved", "target"}
+    assert result.check("target").note == result.check("solved").note == "gave up"
+    # one who gives up where there is nothing to miss is not accepted either
+    result = run(Study(bank, solver="failed", level="alpha"), None, broken)
+    assert [check.name for check in result.checks if not check.passed] == ["solved"]
 
 
 def test_problems_are_said_once_and_nothing_else_is(bank, caplog, monkeypatch):

@@ -13,7 +13,7 @@ import pytest
 
 import lampopt
 from lampopt.errors import PluginError
-from lampopt.plugins import BLOCK, Plugins, known_options
+from lampopt.plugins import BLOCK, KINDS, Plugins, known_options
 from lampopt.types import Spec
 
 HERE = Path(__file__).parent
@@ -335,6 +335,25 @@ def test_options_are_checked(chosen, options, message):
         chosen.make("measure", Spec("options", **options))
 
 
+class Hollow:
+    """Offers, of each kind, what has nothing of it."""
+
+    @lampopt.hookimpl
+    def lampopt_decoders(self):
+        return {"hollow": object}
+
+    lampopt_solvers = lampopt_measures = lampopt_surrogates = lampopt_models = lampopt_sources = lampopt_decoders
+    lampopt_checks = lampopt_decoders
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_lacks_its_protocol_is_refused_when_it_is_made(kind):
+    protocol = "Checker" if kind == "check" else kind.capitalize()
+    message = rf"{kind} 'hollow': <object.* of plugin 'hollow' .* lacks what lampopt.protocols.{protocol} asks for"
+    with pytest.raises(PluginError, match=message):
+        small.plugins(("hollow", Hollow())).make(kind, "hollow")
+
+
 def test_options_are_the_fields(chosen):
     assert list(known_options(Options)) == ["count", "share", "kind", "fast", "hidden"]
     assert chosen.make("measure", Spec("options", count=2, share=1, fast=True)) == Options(2, 1, "a", True)
@@ -359,8 +378,8 @@ class Observer:
 
     @lampopt.hookimpl
     def lampopt_recorded(self, folder, result):  # the order is the plugin's business
-        on_disk = (folder / "passport.json").exists()
-        self.told.append((result, folder, on_disk, rows(folder.parent.parent)))
+        own = (folder / "passport.json").exists()  # else it is the run's
+        self.told.append((result, folder, own, rows(folder.parent.parent if own else folder)))
         if self.error:
             raise self.error
 
@@ -373,14 +392,16 @@ def rows(folder):
         return database.execute("SELECT count(*) FROM designs").fetchone()[0]
 
 
-def test_observers_are_told_once_a_result_is_on_disk(tmp_path):
+@pytest.mark.parametrize("level", ["alpha", "mesh"])
+def test_observers_are_told_once_a_result_is_on_disk(tmp_path, level):
     observer = Observer()
     plugins = small.plugins(("watch", observer))
-    study = lampopt.Study(small.bank(), level="alpha")
+    study = lampopt.Study(small.bank(), level=level)
     results = list(lampopt.sweep(study, {"length": [2.1, 2.2]}, tmp_path, plugins=plugins))
     assert [told for told, *_ in observer.told] == results
     assert [folder for _, folder, *_ in observer.told] == [result.folder for result in results]
-    assert [(on_disk, count) for *_, on_disk, count in observer.told] == [(True, 1), (True, 2)]
+    own = level == "mesh"
+    assert [(own, count) for *_, own, count in observer.told] == [(own, 1), (own, 2)]
     list(lampopt.sweep(study, {"length": [2.1, 2.2]}, tmp_path, plugins=plugins))
     assert len(observer.told) == 2  # read back is not recorded
     list(lampopt.sweep(study, {"length": [2.1, 2.2]}, plugins=plugins))
@@ -461,7 +482,7 @@ def test_a_strangers_check_joins_the_others(bank):
 
 def test_a_strangers_check_waits_for_its_level(bank):
     names = [check.name for check in judged(bank, "slim", "early", level="alpha").checks]
-    assert names == ["target", "alpha", "early"]
+    assert names == ["solved", "target", "alpha", "early"]
 
 
 def test_a_check_that_needs_a_mesh_is_not_asked_where_there_is_none(bank):

@@ -202,9 +202,11 @@ def test_samples_repeat_for_a_seed():
 def test_surface_points_are_even_and_correspond():
     solid = shapes.box((2, 1, 1), divisions=1)
     vertices, faces = np.asarray(solid.vertices), np.asarray(solid.faces)
+    for seed in range(5):
+        points = on_surface(vertices, faces, 10_000, np.random.default_rng(seed))
+        ends = np.abs(points[:, 0]) > 1 - 1e-9
+        assert ends.mean() == pytest.approx(0.2, abs=1e-3)  # 2 of 10 in area; strata leave little to chance
     points = on_surface(vertices, faces, 10_000, np.random.default_rng(0))
-    ends = np.abs(points[:, 0]) > 1 - 1e-9
-    assert ends.mean() == pytest.approx(0.2, abs=1e-3)  # 2 of 10 in area; strata leave no chance to it
     shift = np.array([0.1, 0, 0])
     moved = on_surface(vertices + shift, faces, 10_000, np.random.default_rng(0))
     np.testing.assert_allclose(moved, points + shift, atol=1e-12)
@@ -300,15 +302,17 @@ def test_a_seed_per_exemplar_draws_apart(start, fitted):
     np.testing.assert_array_equal(twice[0], twice[1])  # the seed belongs to the mesh, not to its place
 
 
-def test_a_finished_exemplar_stops_and_leaves_the_others(start, fitted):
-    weights, error = fitted
+def test_a_finished_exemplar_stops_and_leaves_the_others(start):
+    meshes = [EGG, BRICK]  # neither is the mean that the start was fitted to
+    weights, error = TINY.fit(start, meshes, seed=0)
+    first, last = np.argsort(error)
     between = float(error.mean())  # one reaches this, the other does not
-    stopped, reached = replace(TINY, tolerance=between).fit(start, [BALL, BRICK], seed=0)
-    assert error[0] < between < error[1]
-    assert not np.array_equal(stopped[0], weights[0])
-    np.testing.assert_array_equal(stopped[1], weights[1])
-    assert reached[0] == pytest.approx(between, abs=0.5 * between)
-    assert reached[1] == error[1]
+    assert error[first] < 0.97 * between
+    stopped, reached = replace(TINY, tolerance=between).fit(start, meshes, seed=0)
+    assert not np.array_equal(stopped[first], weights[first])
+    assert reached[first] == pytest.approx(between, rel=0.3)  # judged on some of the points, then on all
+    np.testing.assert_array_equal(stopped[last], weights[last])
+    assert reached[last] == error[last]
 
 
 def test_when_all_are_finished_it_stops(start):

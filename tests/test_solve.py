@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampopt.errors import InputError, StudyError
-from lampopt.solve import column, columns, explain, pose, solve
+from lampopt.solve import column, columns, explain, pose, solve, solve_many
 from lampopt.types import Bank, Conflict, Frame, Mix, Parameter, Spec
 from lampopt_kkt.kkt import KKT
 
@@ -194,6 +194,37 @@ def test_explain_takes_any_solvers_conflicts():
     posed = pose(bank(), {"width": 1700.0, "length": 2.5})
     mix = Mix(np.full(6, 1 / 6), np.zeros(2), "infeasible", "cannot", (Conflict(("length",), np.array([0.5])),))
     assert explain(posed, mix) == "cannot; length 2.5 → 2.75 m would agree"
+
+
+def test_a_conflict_may_name_a_range():
+    posed = pose(bank(), {"width": 1700.0, "length": 2.5}, ranges={"drag": (0.3, 0.4)})
+    clash = Conflict(("length", "drag (range)"), np.array([0.5, 0.1]))
+    mix = Mix(np.full(4, 1 / 4), np.zeros(2), "infeasible", "cannot", (clash,))
+    assert explain(posed, mix) == "cannot; length 2.5 → 2.75 m, drag (range) would agree"
+
+
+def test_the_columns_are_built_once_a_problem(monkeypatch):
+    built = []
+    monkeypatch.setattr("lampopt.solve.columns", lambda bank: built.append(1) or columns(bank))
+    pose(bank(), {"length": 2.5, "width": 1700.0}, ranges={"drag": (0.2, 0.4)})
+    assert len(built) == 1
+
+
+@pytest.mark.parametrize("names", [["length", "width"], ["drag", "length"], ["length", "extents.length"], []])
+def test_many_targets_are_one_by_one(names):
+    middle = {"length": 2.5, "width": 1700.0, "drag": 0.3, "extents.length": 2.51}
+    targets = [{name: middle[name] * (1 + 0.02 * i * (name != "length")) for name in names} for i in range(4)]
+    posed = pose(bank(), targets[0])
+    many = solve_many(posed, targets, KKT())
+    for mix, target in zip(many, targets, strict=True):
+        alone = solve(pose(bank(), target), KKT())
+        np.testing.assert_allclose(mix.alpha, alone.alpha, atol=1e-9)
+        np.testing.assert_allclose(mix.residual, alone.residual, atol=1e-9)
+        assert (mix.status, mix.message) == (alone.status, alone.message)
+        assert [c.names for c in mix.conflicts] == [c.names for c in alone.conflicts]
+    if "extents.length" in names:
+        assert [m.status for m in many] == ["exact"] + ["infeasible"] * 3
+        assert "length 2.5 → " in many[1].message
 
 
 def test_targets_must_be_numbers():

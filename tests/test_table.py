@@ -2,6 +2,9 @@
 
 import contextlib
 import logging
+import subprocess
+import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,9 @@ from hypothesis import strategies as st
 
 from lampopt.errors import InputError
 from lampopt.meshfile import SUFFIXES, load_mesh
+from lampopt.plugins import Plugins
 from lampopt.protocols import Source
+from lampopt.testing import check_plugin
 from lampopt_datasets.columns import name_and_unit
 from lampopt_datasets.table import Table
 
@@ -332,3 +337,18 @@ def test_a_long_table(folder):
     rows = [f"a.stl,{i}" for i in range(200_000)]
     message = refused(folder, "\n".join(["mesh,p", *rows, "b.stl,late", ""]))
     assert "row 200001, column 'p': expected a number, got 'late'" in message
+
+
+def test_its_example_keeps_the_promises_of_a_source():
+    plugins = Plugins.load(block=[p.name for p in entry_points(group="lampopt") if p.name != "datasets"])
+    records = check_plugin(plugins, "datasets")
+    assert records and all(record.passed for record in records), records
+
+
+def test_its_example_is_gone_when_python_ends():
+    code = "from lampopt_datasets.table import Table; t = Table.example(); print(t.table, len(t().meshes[0].faces))"
+    place, faces = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.rsplit(maxsplit=1)
+    assert faces == "12"
+    assert not Path(place).parent.exists()

@@ -15,11 +15,12 @@ from lampopt.cli.options import can_be_written, numbers, pairs, spec
 from lampopt.errors import InputError, StudyError
 from lampopt.loop import run as run_study
 from lampopt.loop import sweep as sweep_study
+from lampopt.meshfile import FORMATS
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
 from lampopt.record import export_mesh, passport
 from lampopt.solve import column
-from lampopt.study import FORMATS, Study, Value
+from lampopt.study import Study, Value
 from lampopt.types import LEVELS, Bank, Check, Needs, Result
 
 if TYPE_CHECKING:

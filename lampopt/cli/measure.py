@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -14,9 +13,6 @@ from lampopt.loop import measure as measured
 from lampopt.meshfile import load_mesh
 from lampopt.plugins import Plugins
 from lampopt.units import filled
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command(cls=Command)

@@ -29,18 +29,26 @@ def frozen_array(
     Raises
     ------
     InputError
-        If the shape differs or a value is not finite.
+        If it is no array of numbers, the shape differs, or a value is not finite.
     """
-    array = np.asarray(value, dtype)
+    try:
+        if np.iscomplexobj(value) or np.ma.is_masked(value):
+            raise TypeError("complex or masked values")
+        array = np.asarray(value, dtype)
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"values of kind {array.dtype}")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: expected an array of numbers, got {error}") from error
     if array.ndim != len(shape) or any(s is not None and s != n for s, n in zip(shape, array.shape, strict=False)):
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
-    for first in range(0, len(array), max(1, len(array) // 64)) if array.size else ():  # part by part: it may be mapped
-        part = array[first : first + max(1, len(array) // 64)]
+    step = max(1, array.shape[0] // 64) if array.ndim else 1
+    for first in range(0, array.shape[0] if array.ndim else 1, step):  # part by part: it may be mapped from a file
+        part = array[first : first + step] if array.ndim else array[None]
         bad = np.isinf(part) if nan else ~np.isfinite(part)
         if bad.any():
             row, *rest = (int(i) for i in np.argwhere(bad)[0])
-            where = (first + row, *rest)
+            where = (first + row, *rest)[: array.ndim]
             raise InputError(f"{name}: expected finite values, got {array[where]} at index {where}")
     view = array.view()
     if isinstance(value, np.ndarray) and value.flags.writeable and np.may_share_memory(array, value):

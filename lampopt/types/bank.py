@@ -28,6 +28,8 @@ class Parameter:
     high: float | None = None
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and isinstance(self.unit, str)):
+            raise InputError(f"parameter: expected texts as name and unit, got {self.name!r} and {self.unit!r}")
         if not self.name or self.name != self.name.strip() or any(c in self.name for c in ".[]=\n"):
             raise InputError(f"parameter name {self.name!r}: expected text without '.', '[', ']', '=' or outer blanks")
 
@@ -52,6 +54,8 @@ class Spec:
     options: Mapping[str, Scalar] = field(hash=False)
 
     def __init__(self, name: str, /, **options: Scalar) -> None:
+        if not isinstance(name, str):
+            raise InputError(f"plugin: expected a name, got {name!r}")
         for key, value in options.items():
             if not isinstance(value, (str, int, float, bool)):
                 raise InputError(f"option {key!r} of {name!r}: expected text, a number or a truth value, got {value!r}")
@@ -114,6 +118,8 @@ class Exemplars:
             labels=frozen_array(labels, "labels", (n, len(self.label_space)), nan=True),
             measured=Table(self.measured),
         )
+        if not isinstance(self.unit, str):
+            raise InputError(f"unit: expected text such as 'm', got {self.unit!r}")
         if len(self.meshes) != n:
             raise InputError(f"exemplars: expected {n} meshes, one for each name, got {len(self.meshes)}")
         unique(self.names, "exemplar")
@@ -235,6 +241,16 @@ class Bank:
             limits=Table(self.limits),
             provenance=Table(self.provenance),
         )
+        if n == 0:
+            raise InputError("bank: expected at least one exemplar, got none")
+        if self.probe_values.shape[2] == 0:
+            raise InputError("probe_values: expected at least one value a probe, got none")
+        if unknown := sorted(set(self.measured_by) - {q.name for q in self.space}):
+            raise InputError(f"measured_by: {unknown} are no parameters; known are {[q.name for q in self.space]}")
+        if not all(isinstance(address, str) for address in self.measured_by.values()):
+            raise InputError(f"measured_by: expected texts such as 'measure.value', got {dict(self.measured_by)}")
+        if not all(isinstance(value, int) for value in self.mesh_facts.values()):
+            raise InputError(f"mesh_facts: expected whole numbers, got {dict(self.mesh_facts)}")
 
     def __len__(self) -> int:
         return len(self.names)

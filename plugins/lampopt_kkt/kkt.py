@@ -13,10 +13,11 @@ thousands are one call. Least norm where rows leave freedom (Moore-Penrose).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg import null_space
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from lampopt.errors import InputError, SolveError
 from lampopt.types import Array, Conflict, Mix, MixBatch, Problem, Status
@@ -61,8 +62,14 @@ class KKT:
         each = np.full(len(targets), ridge) if ridges is None else np.asarray(ridges, float)
         if each.shape != (len(targets),) or not (np.isfinite(each) & (each >= 0)).all():
             raise InputError(f"ridges: expected {len(targets)} numbers of at least 0, got {ridges!r}")
-        with threadpool_limits(1, "blas"):  # matrices this small lose orders of magnitude to threads
+        with _libraries().limit(limits=1, user_api="blas"):  # matrices this small lose orders of magnitude to threads
             return _solve(problem, targets, each)
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The thread pools of this process, looked for once: that takes ten times as long as a solve."""
+    return ThreadpoolController()
 
 
 def _refuse(problem: Problem) -> None:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from lampopt.errors import EmptyMesh, MeasureError
+from lampopt.topology import topology
 from lampopt.types import Array
 
 if TYPE_CHECKING:
@@ -116,30 +115,18 @@ class Area:
 class Genus:
     """How many closed surfaces a mesh has, and how many handles (through-holes) on all of them together.
 
-    A cavity is a closed surface too and counts as a body. The genus follows from the Euler characteristic,
-    ``V - E + F = 2 (bodies - genus)``, where a vertex at which several sheets of surface touch counts once a sheet.
+    A cavity is a closed surface too and counts as a body. Counted by `lampopt.topology`, as the checks of a design are.
     """
 
     names = ("bodies", "genus")
     units = ("", "")
 
     def __call__(self, mesh: Trimesh) -> Array:
-        """Bodies and genus (2,). Raises EmptyMesh, and MeasureError where the mesh is open."""
-        closed = watertight(mesh)
-        pairs, edges = closed.face_adjacency, closed.face_adjacency_edges
-        count = len(closed.faces)
-        bodies = _components(pairs[:, 0], pairs[:, 1], count)
-        # Corners (face, vertex) that share an edge at their vertex belong to one sheet: sheets are what V has to count.
-        corners = [
-            face * 3 + (closed.faces[face] == vertex[:, None]).argmax(axis=1) for vertex in edges.T for face in pairs.T
-        ]
-        sheets = _components(
-            np.concatenate([corners[0], corners[2]]), np.concatenate([corners[1], corners[3]]), 3 * count
-        )
-        characteristic = sheets - count // 2  # a closed mesh of F triangles has E = 3F/2
-        return np.array([bodies, bodies - characteristic / 2])
-
-
-def _components(start: Array, end: Array, count: int) -> int:
-    links = coo_array((np.ones(len(start), bool), (start, end)), (count, count))
-    return int(connected_components(links, directed=False, return_labels=False))
+        """Bodies and genus (2,). Raises EmptyMesh, and MeasureError where the mesh is open or not wound alike."""
+        found = topology(watertight(mesh))
+        if found.genus is None:
+            raise MeasureError(
+                "genus: expected neighbouring faces to be wound alike, got some that are not; "
+                "turn them (mesh.fix_normals())"
+            )
+        return np.array([found.bodies, found.genus], float)
