@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from lampopt import lamp
-from lampopt.errors import BankError, FitError, InputError
+from lampopt.errors import BankError, FitError, InputError, PluginError
 from lampopt.measured import measure_all
+from lampopt.meshfile import indexed
 from lampopt.partial import Partial
-from lampopt.plugins import Plugins
+from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Progress, Shared
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Exemplars, Frame, Parameter, Scalar, Spec
@@ -84,11 +85,14 @@ def build_bank(
     InputError, PluginError
         If an argument cannot be used.
     """
+    if not isinstance(exemplars, Exemplars):
+        raise InputError(f"exemplars: expected lampopt.types.Exemplars, got {exemplars!r:.80}")
+    if measured is not None and not _texts(measured):
+        raise InputError(f"measured: expected a mapping such as {{'length': 'extents.length'}}, got {measured!r:.80}")
+    seed, batch, probes = _whole("seed", seed, 0), _whole("batch", batch, 1), _whole("probes", probes, 1)
     plugins = plugins or Plugins.load().report()
     spec = Spec.of(decoder)
     made: Decoder = plugins.make("decoder", spec)
-    if batch < 1 or probes < 1:
-        raise InputError(f"batch and probes: expected at least 1, got {batch} and {probes}")
     limits = None if limits is None else _limits(limits)
     facts = _survey(exemplars)
     plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
@@ -102,8 +106,8 @@ def build_bank(
             return _finished(path, plan, exemplars, measured_by, limits, plugins)
         frame = _frame(facts.bounds, exemplars.unit)
         meshes = _InBox(exemplars.meshes, exemplars.names, frame)
-        shared, weights, error = _fit(exemplars, meshes, frame, made, seed, batch, partial, progress)
-        points = np.asarray(made.probes(shared, probes, seed), float)
+        shared, weights, error = _fit(exemplars, meshes, frame, made, spec.name, seed, batch, partial, progress)
+        points = returned(f"decoder {spec.name!r}: probes", made.probes(shared, probes, seed), (probes, 3))
         bank = Bank(
             space=_ranged(exemplars.space, exemplars.parameters),
             parameters=exemplars.parameters,
@@ -115,7 +119,7 @@ def build_bank(
             frame=frame,
             decoder=spec,
             probes=points,
-            probe_values=np.stack([made.evaluate(shared, w, points) for w in weights]),
+            probe_values=_values(made, spec.name, shared, weights, points),
             fit_error=error,
             measured_by=measured_by,
             measured=values,
@@ -128,6 +132,16 @@ def build_bank(
         bank = lamp.store_bank(bank, path)
         partial.remove()
         return bank
+
+
+def _texts(value: object) -> bool:
+    return isinstance(value, Mapping) and all(isinstance(t, str) for pair in value.items() for t in pair)
+
+
+def _whole(name: str, value: object, least: int) -> int:
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
+        raise InputError(f"{name}: expected at least {least}, a whole number, got {value!r}")
+    return int(value)
 
 
 def _limits(limits: Mapping[str, float]) -> dict[str, float]:
@@ -157,15 +171,24 @@ class _Facts:
 
 
 def _survey(exemplars: Exemplars) -> _Facts:
-    bounds, hashes, shapes = [], [], set()
-    for name, mesh in zip(exemplars.names, exemplars.meshes, strict=True):
-        if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+    from trimesh import Trimesh
+
+    bounds, shapes, hashes = [], set(), list[str]()
+    for i, name in enumerate(exemplars.names):
+        mesh: object = exemplars.meshes[i]  # by index: a loader's IndexError would end an iteration
+        if not isinstance(mesh, Trimesh):
+            raise FitError(f"exemplar {name!r}: expected a trimesh.Trimesh, got {mesh!r:.80}")
+        if not indexed(mesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
             raise FitError(f"exemplar {name!r}: expected a mesh with faces and finite vertices; repair or remove it")
         bounds.append(mesh.bounds)
-        hashes.append(_digest(mesh))
-        shapes.add(topology(mesh))
-    shape = shapes.pop()
-    common = {} if shapes or shape.genus is None else {"bodies": shape.bodies, "genus": shape.genus}
+        found = _digest(mesh)
+        first = hashes.index(found) if found in hashes else i
+        if not np.array_equal(exemplars.parameters[first], exemplars.parameters[i]):
+            both = (exemplars.names[first], name)
+            log.warning("exemplars %r and %r: one mesh, different parameters; one of the two may be wrong", *both)
+        hashes.append(found)
+        shapes.add(shape := topology(mesh))
+    common = {} if len(shapes) > 1 or shape.genus is None else {"bodies": shape.bodies, "genus": shape.genus}
     mean = None if exemplars.mesh_at is None else _digest(exemplars.mesh_at(exemplars.parameters.mean(0)))
     return _Facts(np.array(bounds), tuple(hashes), mean, common)
 
@@ -222,6 +245,7 @@ def _fit(
     meshes: _InBox,
     frame: Frame,
     decoder: Decoder,
+    called: str,
     seed: int,
     batch: int,
     partial: Partial | None,
@@ -236,11 +260,11 @@ def _fit(
         tell(0.0, "shared start")
         if partial:
             partial.clear()  # batches from a start that is lost
-        begun = decoder.prepare(meshes, mean=_mean_mesh(exemplars, meshes, frame), seed=seed)
+        begun = _prepared(called, decoder.prepare(meshes, mean=_mean_mesh(exemplars, meshes, frame), seed=seed))
         if partial:
             partial.write("shared", begun)
     shared = frozen_arrays(begun, "shared")  # what one batch did to it, the next would start from
-    weights, errors = [], []
+    weights, errors = list[Array](), list[Array]()
     for number, start in enumerate(starts):
         chosen = meshes[start : start + batch]
         done = partial.read(f"batch_{number:04d}") if partial else None
@@ -249,7 +273,7 @@ def _fit(
             log.info("fitting %s", what)
             names = exemplars.names[start : start + batch]
             try:
-                fitted, error = decoder.fit(
+                answer = decoder.fit(
                     shared,
                     chosen,
                     seed=seed,
@@ -259,13 +283,38 @@ def _fit(
                 if any(name in str(failure) for name in names):
                     raise
                 raise FitError(f"among the exemplars {', '.join(names)}: {failure}") from failure
-            done = {"weights": np.asarray(fitted, np.float32), "error": np.asarray(error, float)}
+            done = _fitted(called, answer, len(chosen), weights[0].shape[1] if weights else None)
             if partial:
                 partial.write(f"batch_{number:04d}", done)
         weights.append(done["weights"])
         errors.append(done["error"])
     tell(1.0, "done")
     return shared, np.concatenate(weights), np.concatenate(errors)
+
+
+def _prepared(called: str, answer: object) -> Shared:
+    try:
+        if not isinstance(answer, Mapping) or not all(isinstance(name, str) for name in answer):
+            raise TypeError(f"{answer!r:.80}")
+        return frozen_arrays(answer, "shared")
+    except (TypeError, ValueError) as error:
+        raise PluginError(f"decoder {called!r}: prepare: expected names with arrays, got {error}") from error
+
+
+def _fitted(called: str, answer: object, count: int, wide: int | None) -> dict[str, Array]:
+    what = f"decoder {called!r}: fit"
+    if not isinstance(answer, (tuple, list)) or len(answer) != 2:
+        raise PluginError(f"{what}: expected a pair of weights and errors, got {answer!r:.80}")
+    weights = returned(f"{what}: weights", answer[0], (count, wide), np.float32)
+    return {"weights": weights, "error": returned(f"{what}: error", answer[1], (count,))}
+
+
+def _values(decoder: Decoder, called: str, shared: Shared, weights: Array, points: Array) -> Array:
+    values: list[Array] = []
+    for w in weights:
+        shape = (len(points), values[0].shape[1] if values else None)
+        values.append(returned(f"decoder {called!r}: evaluate", decoder.evaluate(shared, w, points), shape))
+    return np.stack(values)
 
 
 def _part(tell: Progress, start: float, share: float, what: str) -> Callable[..., None]:

@@ -6,6 +6,7 @@ scores 0 on a wrong shape. So a design is accepted when every check passes, neve
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
 from lampopt.solve import Posed
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Check, Design, Mix, Needs
-from lampopt.units import factor, filled
+from lampopt.units import factor, filled, said
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -68,8 +69,8 @@ def _usable(limits: Mapping[str, float], known: set[str], what: str, error: type
     if unknown := sorted(set(limits) - known):
         raise error(f"{what}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
     for name, limit in limits.items():
-        if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < float("inf"):
-            raise error(f"{what}: {name}: expected a finite number of at least 0, got {limit!r}")
+        if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit <= sys.float_info.max:
+            raise error(f"{what}: {name}: expected a finite number of at least 0, got {said(limit)}")
 
 
 def alpha_checks(posed: Posed, mix: Mix, limits: Limits) -> list[Check]:
@@ -141,7 +142,9 @@ def mesh_checks(
     if mesh is None or not faces:
         return found
     shape = topology(mesh)
-    found.append(Check("watertight", float(shape.closed), "=", 1.0, "", "mesh"))
+    outward = shape.closed and float(mesh.volume) > 0
+    inward = "faces point inward" if shape.closed and not outward else ""
+    found.append(Check("watertight", float(outward), "=", 1.0, "", "mesh", inward))
     for name, value in (("bodies", shape.bodies), ("genus", shape.genus)):
         expected = bank.mesh_facts.get(name)
         if expected is None:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import EmptyMesh, InputError
+from lampopt.errors import EmptyMesh, InputError, PluginError
+from lampopt.meshfile import indexed
 from lampopt.protocols import Decoder
 from lampopt.types import Array, Bank
 
@@ -41,10 +42,23 @@ def decode(bank: Bank, decoder: Decoder, weights: Array, *, resolution: int = 12
         If the field has no surface.
     InputError
         If `weights` does not fit the bank.
+    PluginError
+        If the decoder returns something else than a mesh.
     """
+    from trimesh import Trimesh
+
     if weights.shape != bank.weights.shape[1:]:
         raise InputError(f"weights: expected shape {bank.weights.shape[1:]}, got {weights.shape}")
-    return bank.frame.to_user(decoder.decode(bank.shared, weights, resolution=resolution))
+    mesh: object = decoder.decode(bank.shared, weights, resolution=resolution)
+    who = f"decoder {bank.decoder.name!r}: decode"
+    if not isinstance(mesh, Trimesh):
+        raise PluginError(f"{who}: expected a trimesh.Trimesh, got {mesh!r:.80}")
+    if not indexed(mesh):
+        raise PluginError(
+            f"{who}: expected faces whose corners are 0 to {len(mesh.vertices) - 1}, got {mesh.faces.min()} to "
+            f"{mesh.faces.max()}"
+        )
+    return bank.frame.to_user(mesh)
 
 
 def field_to_mesh(field: Field, bounds: Array, resolution: int) -> Trimesh:

@@ -9,6 +9,7 @@ import hashlib
 import itertools
 import json
 import logging
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
+MOST = 100_000  # combinations of a sweep
 BATCH = 256  # targets of a sweep that are solved together
 log = logging.getLogger("lampopt")
 
@@ -72,11 +74,11 @@ def design(
     study = Study(
         bank,
         targets=targets,
-        keep=tuple(keep),
+        keep=keep,  # type: ignore[arg-type]  # as it came: Study says what is wrong with it
         reference=reference,
         objective=objective,
         solver=solver,
-        measures=tuple(measures),
+        measures=measures,  # type: ignore[arg-type]
         limits=limits or {},
         level=level,
         resolution=resolution,
@@ -86,6 +88,7 @@ def design(
 
 def run(study: Study, folder: str | Path | None = None, *, plugins: Plugins | None = None) -> Result:
     """The design that `study` asks for; with `folder` recorded there, or read back if it is there already."""
+    _expect_study(study)
     (result,) = _Run.of(study, plugins).results([{}], folder, None)
     return result
 
@@ -118,6 +121,7 @@ def sweep(
     StudyError
         Before anything is computed, if the study asks for what cannot be.
     """
+    _expect_study(study)
     if isinstance(grid, Mapping):
         study = replace(study, sweep=grid)
     changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else [dict(t) for t in grid]
@@ -129,7 +133,18 @@ def sweep(
 def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
     if not grid:
         return []
+    count = math.prod(len(values) for values in grid.values())
+    if count > MOST:
+        raise StudyError(
+            f"sweep: {count:,} combinations, at most {MOST:,} are made at once: give fewer values, or sweep parts of "
+            "them, one after the other, into the same folder"
+        )
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
+
+
+def _expect_study(study: object) -> None:
+    if not isinstance(study, Study):
+        raise StudyError(f"expected a Study, got {study!r}; read one with Study.read(path)")
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import InputError, MeasureError
+from lampopt.errors import InputError, MeasureError, PluginError
 from lampopt.plugins import Plugins
 from lampopt.protocols import Measure
 from lampopt.types import Array, Exemplars
 from lampopt.units import factor, filled
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 FOLLOWS = 0.9  # least R² of a declared measurement against its parameter
 
@@ -22,6 +26,8 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
     ------
     InputError
         If one cannot be read, or does not follow its parameter over the exemplars.
+    PluginError
+        If a measure returns something else than its values.
     """
     if not measured_by:
         return np.empty((len(exemplars), 0))
@@ -30,13 +36,14 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
         raise InputError(f"measured: {unknown} are no parameters; known are {list(index)}")
     asked = {p: resolve_address(address, plugins) for p, address in measured_by.items()}
     values = np.empty((len(exemplars), len(asked)))
-    for row, (name, mesh) in enumerate(zip(exemplars.names, exemplars.meshes, strict=True)):
+    for row, name in enumerate(exemplars.names):
+        mesh = exemplars.meshes[row]  # by index: a loader's IndexError would end an iteration
         known: dict[str, Array] = {}
         for column, (address, measure, place) in enumerate(asked.values()):
             key = address.partition(".")[0]
             try:
                 if key not in known:
-                    known[key] = np.asarray(measure(mesh), float)
+                    known[key] = values_of(key, measure, mesh)
             except MeasureError as error:
                 raise InputError(f"measured: {address!r} cannot be read off exemplar {name!r}: {error}") from error
             values[row, column] = known[key][place]
@@ -51,6 +58,32 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
                 f"the other parameters' share taken out; expected {FOLLOWS}): it measures something else, or the table "
                 "is wrong"
             )
+    return values
+
+
+def values_of(name: str, measure: Measure, mesh: Trimesh) -> Array:
+    """What `measure`, called `name`, says of `mesh`: one value (p,) for each of its names, finite or not.
+
+    Raises
+    ------
+    PluginError
+        If names, units and values differ in number, or the values are no numbers. What `measure` raises is passed on.
+    """
+    names, units = tuple(measure.names), tuple(measure.units)
+    if len(units) != len(names):
+        raise PluginError(f"measure {name!r}: expected {len(names)} units, one for each of {names}, got {units}")
+    answer = measure(mesh)
+    try:
+        if np.iscomplexobj(answer):
+            raise TypeError("complex values")
+        values = np.asarray(answer, float)
+    except (TypeError, ValueError) as error:
+        raise PluginError(f"measure {name!r}: expected numbers, got {answer!r:.80}: {error}") from error
+    if values.shape != (len(names),):
+        raise PluginError(
+            f"measure {name!r}: expected values of shape ({len(names)},), one for each of {names}, got shape "
+            f"{values.shape}"
+        )
     return values
 
 

@@ -16,11 +16,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pluggy
 
 from lampopt import hookspecs, protocols
 from lampopt.errors import PluginError
-from lampopt.types import Result, Scalar, Spec
+from lampopt.types import Array, Result, Scalar, Spec, frozen_array
 
 PROTOCOLS: Mapping[str, type] = MappingProxyType(
     {
@@ -165,8 +167,8 @@ class Plugins:
         Raises
         ------
         PluginError
-            If it is missing, or an option is unknown or refused: the known options are listed. If what comes lacks a
-            member of its protocol.
+            If it is missing, or an option is unknown or refused: the known options are listed. If making it raises,
+            or what comes lacks a member of its protocol.
         """
         spec = Spec.of(choice)
         offer = self.get(kind, spec.name)
@@ -184,6 +186,8 @@ class Plugins:
             made = cls(**spec.options)
         except (TypeError, ValueError) as error:
             raise PluginError(f"{kind} {spec.name!r} with {dict(spec.options)}: {error}") from error
+        except (Exception, SystemExit) as error:  # whatever a stranger's __init__ raises
+            raise PluginError(f"{kind} {spec.name!r} of {offer}: cannot be made: {error!r}") from error
         if not isinstance(made, PROTOCOLS[kind]):
             wanted = f"lampopt.protocols.{PROTOCOLS[kind].__name__}"
             raise PluginError(f"{kind} {spec.name!r}: {made!r} of {offer} lacks what {wanted} asks for")
@@ -267,6 +271,21 @@ def _offers(
                 Fault(rival.plugin, rival.distribution, rival.version, f"{kind} {name!r} is also given by {others}")
             )
     return offers, clashes
+
+
+def returned(what: str, value: Any, shape: tuple[int | None, ...], dtype: npt.DTypeLike = float) -> Array:
+    """What a plugin returned, as a finite read-only array of `shape` (None: any length).
+
+    Raises
+    ------
+    PluginError
+        If it is none: `what` begins the message and names the plugin.
+    """
+    try:
+        with np.errstate(over="ignore"):  # what is too large for `dtype` is refused as not finite
+            return frozen_array(value, what, shape, dtype)
+    except (TypeError, ValueError) as error:
+        raise PluginError(str(error)) from error
 
 
 def known_options(cls: type) -> dict[str, str]:

@@ -15,7 +15,7 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,37 +62,50 @@ class RunFolder:
             (folder / "designs").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{folder}: cannot be used as a run folder: {error}") from error
+        lock = FileLock(folder / "runs.lock", timeout=0)
+        with _writing(folder):
+            try:
+                lock.acquire()
+            except Timeout as error:
+                raise InputError(
+                    f"{folder}: another process is running here; wait for it or name another folder"
+                ) from error
         try:
-            with (
-                FileLock(folder / "runs.lock", timeout=0),
-                closing(sqlite3.connect(folder / "runs.sqlite")) as database,
-            ):
+            with closing(sqlite3.connect(folder / "runs.sqlite")) as database:
                 _prepare(database, folder / "runs.sqlite")
                 yield cls(folder, database)
-        except Timeout as error:
-            raise InputError(
-                f"{folder}: another process is running here; wait for it or name another folder"
-            ) from error
+        except sqlite3.OperationalError as error:  # locked, read-only, no room: nothing is wrong with what is there
+            raise InputError(f"{folder / 'runs.sqlite'}: cannot be used: {error}") from error
         except sqlite3.DatabaseError as error:
             raise InputError(f"{folder / 'runs.sqlite'}: is damaged or no database: {error}") from error
+        finally:
+            lock.release()
 
     def write_study(self, text: str) -> None:
-        """Keep what was asked."""
-        _replace(self.folder / "study.toml", text)
+        """Keep what was asked. Raises InputError if it cannot be written."""
+        with _writing(self.folder):
+            _replace(self.folder / "study.toml", text)
 
     def write(self, key: str, result: Result, bank: Bank, *, form: str, seconds: float) -> Result:
-        """Put a result on disk: mesh and passport where a mesh was made, then the row. Returns it with its folder."""
+        """Put a result on disk: mesh and passport where a mesh was made, then the row. Returns it with its folder.
+
+        Raises
+        ------
+        InputError
+            If it cannot be written.
+        """
         design, folder = result.design, self.folder
         mesh = design.__dict__.get("mesh")  # only a mesh that was made: recording decodes nothing
         if mesh is not None:
             folder = self._place(key)
             aside = folder.with_name(folder.name + ".writing")
-            shutil.rmtree(aside, ignore_errors=True)
-            aside.mkdir()
-            mesh.export(aside / f"mesh.{form}")
-            _replace(aside / "passport.json", json.dumps(passport(result, bank), indent=2))
-            shutil.rmtree(folder, ignore_errors=True)
-            os.replace(aside, folder)
+            with _writing(folder):
+                shutil.rmtree(aside, ignore_errors=True)
+                aside.mkdir()
+                mesh.export(aside / f"mesh.{form}")
+                _replace(aside / "passport.json", json.dumps(passport(result, bank), indent=2))
+                shutil.rmtree(folder, ignore_errors=True)
+                os.replace(aside, folder)
         self.database.execute(
             "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?,?)",
             (
@@ -114,7 +127,13 @@ class RunFolder:
         return replace(result, folder=folder)
 
     def read(self, key: str, rebuild: Callable[[Mapping[str, float], Mix, Path | None], Design]) -> Result | None:
-        """The result recorded under `key`, its design made by `rebuild` (target, mix, mesh file), or None."""
+        """The result recorded under `key`, its design made by `rebuild` (target, mix, mesh file), or None.
+
+        Raises
+        ------
+        InputError
+            If what is recorded there is damaged.
+        """
         row = self.database.execute(
             "SELECT target, alpha, residual, status, message, conflicts, checks, provenance, mesh FROM designs "
             "WHERE key = ?",
@@ -122,6 +141,17 @@ class RunFolder:
         ).fetchone()
         if row is None:
             return None
+        try:
+            return self._decoded(key, row, rebuild)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise InputError(
+                f"{self.folder / 'runs.sqlite'}: the row of design {key} is damaged: {error}; delete that row (DELETE "
+                f"FROM designs WHERE key = '{key}') and it is made anew"
+            ) from error
+
+    def _decoded(
+        self, key: str, row: tuple[Any, ...], rebuild: Callable[[Mapping[str, float], Mix, Path | None], Design]
+    ) -> Result:
         target, alpha, residual, status, message, conflicts, checks, provenance, mesh = row
         clashes = tuple(Conflict(tuple(names), np.array(amounts)) for names, amounts in json.loads(conflicts))
         mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message, clashes)
@@ -209,11 +239,21 @@ def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
     try:
         mesh.export(aside, file_type=form)
         os.replace(aside, path)
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise InputError(f"{path}: cannot be written: {error}") from error
     finally:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError, ValueError):
+            aside.unlink(missing_ok=True)
     return path
+
+
+@contextmanager
+def _writing(place: Path) -> Iterator[None]:
+    """Say what cannot be written, and that nothing is lost by it."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written: {error}; what is recorded there is kept") from error
 
 
 def _replace(path: Path, text: str) -> None:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lampopt.errors import StudyError
+from lampopt.errors import PluginError, StudyError
 from lampopt.protocols import Solver
-from lampopt.types import Array, Bank, Conflict, Mix, Problem
+from lampopt.types import Array, Bank, Conflict, Mix, MixBatch, Problem
 
 MET = "every target is met"
 
@@ -165,8 +165,20 @@ def _centre(bank: Bank, active: Array, reference: str | None) -> Array:
 
 
 def solve(posed: Posed, solver: Solver) -> Mix:
-    """The mix over all N exemplars, its message and conflicts in the user's units."""
-    mix = solver.solve(posed.problem)
+    """The mix over all N exemplars, its message and conflicts in the user's units.
+
+    The residual is what its alpha leaves, whatever the solver says of it: it is evidence.
+
+    Raises
+    ------
+    PluginError
+        If the solver returns no mix of the exemplars that take part.
+    """
+    problem = posed.problem
+    mix: object = solver.solve(problem)
+    if not isinstance(mix, Mix) or mix.alpha.shape != problem.centre.shape:
+        raise _no_mix(solver, Mix, problem.centre.shape, mix)
+    mix = replace(mix, residual=problem.matrix @ mix.alpha - problem.target)
     return Mix(posed.spread_out(mix.alpha), mix.residual, mix.status, explain(posed, mix), mix.conflicts)
 
 
@@ -174,17 +186,31 @@ def solve_many(posed: Posed, targets: Sequence[Mapping[str, float]], solver: Sol
     """As `solve`, for many targets of the posed problem's names, in one call to the solver.
 
     A batch tells no reasons, so those that are not met exactly are solved again, one by one.
+
+    Raises
+    ------
+    PluginError
+        If the solver returns no mixes of the exemplars that take part, one a target.
     """
     rows = np.array([[target[name] for name in posed.problem.names] for target in targets], float)
     normalised = posed.normalised(rows)
-    batch = solver.solve_many(posed.problem, normalised)
-    alpha = posed.spread_out(batch.alpha)
+    batch: object = solver.solve_many(posed.problem, normalised)
+    shape = (len(targets), *posed.problem.centre.shape)
+    if not isinstance(batch, MixBatch) or batch.alpha.shape != shape:
+        raise _no_mix(solver, MixBatch, shape, batch)
+    alpha, residuals = posed.spread_out(batch.alpha), batch.alpha @ posed.problem.matrix.T - normalised
     return [
         Mix(mix, residual, status, MET)
         if status == "exact"
         else solve(replace(posed, problem=replace(posed.problem, target=row)), solver)
-        for mix, residual, status, row in zip(alpha, batch.residual, batch.status, normalised, strict=True)
+        for mix, residual, status, row in zip(alpha, residuals, batch.status, normalised, strict=True)
     ]
+
+
+def _no_mix(solver: Solver, wanted: type, shape: tuple[int, ...], found: object) -> PluginError:
+    alpha = getattr(found, "alpha", None)
+    got = type(found).__name__ + (f" with alpha {np.shape(alpha)}" if alpha is not None else "")
+    return PluginError(f"solver {type(solver).__name__}: expected a {wanted.__name__} with alpha {shape}, got {got}")
 
 
 def explain(posed: Posed, mix: Mix) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -15,7 +16,7 @@ from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
 from lampopt.solve import column
 from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
-from lampopt.units import number
+from lampopt.units import number, said
 
 Value = float | str
 
@@ -30,7 +31,7 @@ class Reduce:
     def __post_init__(self) -> None:
         if not (isinstance(self.by, int | float) and -10 < self.by < 1):
             raise StudyError(
-                f"Reduce({self.name!r}): expected `by` as a fraction below 1, such as 0.10, got {self.by!r}"
+                f"Reduce({self.name!r}): expected `by` as a fraction below 1, such as 0.10, got {said(self.by)}"
             )
 
 
@@ -96,11 +97,11 @@ class Study:
 
     def __post_init__(self) -> None:
         if not isinstance(self.bank, Bank | Path | str):
-            raise StudyError(f"bank: expected a Bank or the path of a .lamp file, got {self.bank!r}")
+            raise StudyError(f"bank: expected a Bank or the path of a .lamp file, got {said(self.bank)}")
         if not isinstance(self.solver, str | Spec):
-            raise StudyError(f"solver: expected a name or a Spec, got {self.solver!r}")
+            raise StudyError(f"solver: expected a name or a Spec, got {said(self.solver)}")
         if not isinstance(self.objective, Reduce | None):
-            raise StudyError(f"objective: expected Reduce(name, by=fraction), got {self.objective!r}")
+            raise StudyError(f"objective: expected Reduce(name, by=fraction), got {said(self.objective)}")
         for name in ("keep", "hard", "measures", "checks", "requires"):
             _assign(self, name, _names(getattr(self, name), name))
         for name in ("targets", "limits"):
@@ -113,20 +114,20 @@ class Study:
             if len(pair) != 2:
                 raise StudyError(f"ranges: {key}: expected a low and a high value, got {len(pair)} values")
         if self.level not in LEVELS:
-            raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {self.level!r}")
+            raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {said(self.level)}")
         if self.format not in FORMATS:
-            raise StudyError(f"format: expected one of {', '.join(FORMATS)}, got {self.format!r}")
+            raise StudyError(f"format: expected one of {', '.join(FORMATS)}, got {said(self.format)}")
         if (
             isinstance(self.resolution, bool)
             or not isinstance(self.resolution, int)
             or not 4 <= self.resolution <= 4096
         ):
-            raise StudyError(f"resolution: expected a whole number from 4 to 4096, got {self.resolution!r}")
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise StudyError(f"seed: expected a whole number of at least 0, got {self.seed!r}")
+            raise StudyError(f"resolution: expected a whole number from 4 to 4096, got {said(self.resolution)}")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
+            raise StudyError(f"seed: expected a whole number of at least 0 and below 2**63, got {said(self.seed)}")
         for key, limit in self.limits.items():
-            if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < float("inf"):
-                raise StudyError(f"limits: {key}: expected a finite number of at least 0, got {limit!r}")
+            if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit <= sys.float_info.max:
+                raise StudyError(f"limits: {key}: expected a finite number of at least 0, got {said(limit)}")
         asked = [*self.targets, *self.keep, *([self.objective.name] if self.objective else [])]
         for name in asked:
             if asked.count(name) > 1 or name in self.ranges:
@@ -203,7 +204,7 @@ class Study:
         """
         try:
             document = tomllib.loads(text)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise StudyError(f"study: not valid TOML: {error}") from error
         known = {item.name for item in fields(cls)}
         if unknown := sorted(set(document) - known):
@@ -222,8 +223,8 @@ class Study:
         """The study in a TOML file; a relative bank path is taken from beside it."""
         path = Path(path)
         try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, ValueError) as error:
             raise StudyError(f"{path}: cannot be read as a study: {error}") from error
         return cls.from_toml(text, folder=path.parent)
 
@@ -234,7 +235,7 @@ def _assign(study: Study, name: str, value: object) -> None:
 
 def _names(value: object, what: str) -> tuple[str, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
-        raise StudyError(f"{what}: expected a list of names, got {value!r}")
+        raise StudyError(f"{what}: expected a list of names, got {said(value)}")
     if twice := sorted({v for v in value if value.count(v) > 1}):
         raise StudyError(f"{what}: {', '.join(twice)} twice; name each once")
     return tuple(value)
@@ -242,18 +243,18 @@ def _names(value: object, what: str) -> tuple[str, ...]:
 
 def _table(value: object, what: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(k, str) for k in value):
-        raise StudyError(f"{what}: expected a table of names and values, got {value!r}")
+        raise StudyError(f"{what}: expected a table of names and values, got {said(value)}")
     return MappingProxyType(dict(value))
 
 
 def _values(value: object, what: str) -> tuple[Value, ...]:
     if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
-        raise StudyError(f"{what}: expected a list of values, got {value!r}")
+        raise StudyError(f"{what}: expected a list of values, got {said(value)}")
     found = tuple(v if isinstance(v, str) else _native(v) for v in value)
     if not found:
         raise StudyError(f"{what}: expected a list of values, got none")
     if wrong := [v for v in found if isinstance(v, bool) or not isinstance(v, str | int | float)]:
-        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {wrong[0]!r}")
+        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {said(wrong[0])}")
     return found
 
 
@@ -268,7 +269,7 @@ def _spec(table: Mapping[str, Scalar]) -> Spec:
     options = dict(table)
     name = options.pop("name", None)
     if not isinstance(name, str):
-        raise StudyError(f"solver: expected a name, or a table with an entry `name`, got {dict(table)!r}")
+        raise StudyError(f"solver: expected a name, or a table with an entry `name`, got {said(dict(table))}")
     try:
         return Spec(name, **options)
     except InputError as error:
@@ -277,7 +278,7 @@ def _spec(table: Mapping[str, Scalar]) -> Spec:
 
 def _objective(table: object) -> Reduce:
     if not isinstance(table, Mapping) or set(table) != {"reduce", "by"} or not isinstance(table["reduce"], str):
-        raise StudyError(f"objective: expected {{ reduce = NAME, by = FRACTION }}, got {table!r}")
+        raise StudyError(f"objective: expected {{ reduce = NAME, by = FRACTION }}, got {said(table)}")
     return Reduce(table["reduce"], table["by"])
 
 

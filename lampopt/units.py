@@ -8,12 +8,17 @@ from numbers import Real
 from lampopt.errors import InputError
 
 _LENGTH = re.compile(r"\bL\b")
+_NAME = r"°?[^\W\d_⁰¹²³⁴-⁹](?:[^\W\d⁰¹²³⁴-⁹]|[0-9])*"
+_POWER = r"(?:(?:\*\*|\^)-?[0-9]|[²³])?"
+_PLAIN = re.compile(rf"|[%°]|(?:1\s*/\s*)?{_NAME}{_POWER}(?:(?:\s*[*/]\s*|\s+){_NAME}{_POWER})*")
+_POWERS_IN_WORDS = re.compile(r"\s(?:squared|cubed)|(?:cubic|square|sq)\s")
+_LONGEST = 60  # characters of a unit
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
 def filled(unit: str, length: str) -> str:
     """A measure's declared unit with L, L^2, L^3 replaced by the mesh's `length` unit: "L^2" → "mm^2"."""
-    return _LENGTH.sub(length, unit)
+    return _LENGTH.sub(lambda _: length, unit)
 
 
 def factor(unit: str, to: str, what: str) -> float:
@@ -34,15 +39,38 @@ def factor(unit: str, to: str, what: str) -> float:
 def _converted(value: float, unit: str, to: str, what: str) -> float:
     if unit == to:
         return value
+    for text in (unit, to):
+        if not _plain(text):
+            raise InputError(
+                f"{what}: cannot bring [{_named(unit)}] to [{_named(to)}]: "
+                f"expected a unit such as 'mm' or 'm/s^2', got {text[:_LONGEST]!r}"
+            )
     import pint
 
     registry = pint.get_application_registry()
     try:
         return float(registry.Quantity(value, unit or "dimensionless").to(to or "dimensionless").magnitude)
     except Exception as error:  # pint's parser raises whatever Python's tokenizer does
-        raise InputError(
-            f"{what}: cannot bring [{unit or 'dimensionless'}] to [{to or 'dimensionless'}]: {error!r}"
-        ) from error
+        raise InputError(f"{what}: cannot bring [{_named(unit)}] to [{_named(to)}]: {error!r}") from error
+
+
+def _plain(unit: str) -> bool:
+    """Whether `unit` is names and powers, in brackets or not: pint would work out m**(9**9**9), in words too."""
+    if unit.startswith("(") and unit.endswith(")"):
+        unit = unit[1:-1]
+    return len(unit) <= _LONGEST and _PLAIN.fullmatch(unit) is not None and not _POWERS_IN_WORDS.search(unit)
+
+
+def _named(unit: str) -> str:
+    return unit[:_LONGEST] or "dimensionless"
+
+
+def said(value: object) -> str:
+    """`value` as it is typed, for a message; Python writes no whole number of thousands of digits."""
+    try:
+        return repr(value)
+    except ValueError:
+        return "a number that is too long to be shown"
 
 
 def number(value: float | str, unit: str, what: str) -> float:
@@ -59,6 +87,9 @@ def number(value: float | str, unit: str, what: str) -> float:
             raise InputError(f"{what}: expected a number or text such as '1420 mm', got {value!r}")
         return number(_converted(float(found[1]), found[2] or unit, unit, what), unit, what)
     given: object = value  # numpy's numbers are welcome too
-    if isinstance(given, bool) or not isinstance(given, Real) or not abs(value) < float("inf"):
-        raise InputError(f"{what}: expected a finite number or text such as '1420 mm', got {value!r}")
-    return float(value)
+    try:
+        if not isinstance(given, bool) and isinstance(given, Real) and abs(value) < float("inf"):
+            return float(value)
+    except OverflowError:  # a whole number beyond any float
+        pass
+    raise InputError(f"{what}: expected a finite number or text such as '1420 mm', got {said(value)}")

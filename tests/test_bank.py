@@ -16,6 +16,7 @@ import pytest
 import lampopt
 from lampopt.bank import FILL, decoder_of
 from lampopt.errors import BankError, FitError, InputError, PluginError
+from lampopt.measured import values_of
 from lampopt.testing import shapes
 from lampopt.types import Exemplars, Parameter, Spec
 
@@ -564,3 +565,147 @@ def test_what_is_shared_cannot_be_changed_by_a_fit(tmp_path, stored, decoder, er
     plugins = small.plugins(("scribbles", ScribblesPlugin()))
     with pytest.raises(error, match=message):
         small.bank(decoder=decoder, plugins=plugins, store=tmp_path / "a.lamp" if stored else None)
+
+
+# what comes from others
+
+
+class Lazy:
+    """Meshes whose loader fails as a list does at its end."""
+
+    def __len__(self):
+        return 7
+
+    def __getitem__(self, index):
+        if index == 6:
+            raise IndexError("no such row in the file")
+        return small.boxes().meshes[index]
+
+
+def test_a_loader_that_fails_is_heard():
+    with pytest.raises(IndexError, match="no such row"):
+        small.bank(small.boxes(meshes=Lazy()))
+
+
+def test_what_is_no_mesh_is_named():
+    meshes = [*small.boxes().meshes]
+    meshes[2] = "car.stl"
+    with pytest.raises(FitError, match=r"exemplar 'box_2': expected a trimesh.Trimesh, got 'car.stl'"):
+        small.bank(small.boxes(meshes=meshes))
+
+
+def test_one_mesh_with_two_parameters_is_told(caplog):
+    meshes = [*small.boxes().meshes]
+    small.bank()
+    assert "one of the two" not in caplog.text
+    meshes[4] = meshes[1].copy()
+    small.bank(small.boxes(meshes=meshes))
+    assert "exemplars 'box_1' and 'box_4'" in caplog.text
+    assert "one of the two may be wrong" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"exemplars": [1]}, "exemplars: expected lampopt.types.Exemplars, got "),
+        ({"seed": -1}, "seed: expected at least 0, a whole number, got -1"),
+        ({"seed": True}, "seed: expected .* got True"),
+        ({"seed": 1.5}, "seed: expected .* got 1.5"),
+        ({"batch": 2.0}, "batch: expected .* got 2.0"),
+        ({"probes": "9"}, "probes: expected .* got '9'"),
+        ({"measured": ["length"]}, "measured: expected a mapping"),
+        ({"measured": {"length": 1}}, "measured: expected a mapping"),
+    ],
+)
+def test_arguments_are_checked_before_any_work(options, message):
+    with pytest.raises(InputError, match=message):
+        small.bank(decoder="not installed", **options)
+
+
+def test_numpy_whole_numbers_will_do():
+    counted = {"seed": np.int64(3), "batch": np.int32(2), "probes": np.uint8(16)}
+    bank = small.bank(**counted)
+    assert type(bank.provenance["seed"]) is int
+    assert small.same(bank, small.bank(seed=3))
+
+
+@dataclass(frozen=True)
+class Garbage(small.Stretch):
+    """Returns what it should not, where `place` says."""
+
+    place: str = ""
+
+    def prepare(self, meshes, *, mean, seed):
+        odd = {"prepare list": [1], "prepare text": {"a": "b"}}
+        return odd.get(self.place) or super().prepare(meshes, mean=mean, seed=seed)
+
+    def fit(self, shared, meshes, *, seed, progress=None):
+        weights, error = super().fit(shared, meshes, seed=seed)
+        odd = {
+            "fit alone": weights,
+            "fit count": (weights[:1], error),
+            "fit flat": (weights.ravel(), error),
+            "fit nan": (weights * np.nan, error),
+            "fit error": (weights, error[:, None]),
+            "fit width": (weights[:, : 6 if len(weights) > 1 else 5], error),
+        }
+        return odd.get(self.place, (weights, error))
+
+    def evaluate(self, shared, weights, points):
+        values = super().evaluate(shared, weights, points)
+        return {"evaluate flat": values[:, 0], "evaluate short": values[1:]}.get(self.place, values)
+
+    def probes(self, shared, count, seed):
+        points = super().probes(shared, count, seed)
+        return {"probes": points[1:]}.get(self.place, points)
+
+
+class GarbagePlugin:
+    @lampopt.hookimpl
+    def lampopt_decoders(self):
+        return {"garbage": Garbage}
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("prepare list", r"prepare: expected names with arrays, got \[1\]"),
+        ("prepare text", "prepare: expected names with arrays, got "),
+        ("fit alone", "fit: expected a pair of weights and errors, got "),
+        ("fit count", r"fit: weights: expected shape \(2, any\), got \(1, 6\)"),
+        ("fit flat", r"fit: weights: expected shape \(2, any\), got \(12,\)"),
+        ("fit nan", "fit: weights: expected finite values, got nan"),
+        ("fit error", r"fit: error: expected shape \(2,\), got \(2, 1\)"),
+        ("fit width", r"fit: weights: expected shape \(1, 6\), got \(1, 5\)"),
+        ("probes", r"probes: expected shape \(16, 3\), got \(15, 3\)"),
+        ("evaluate flat", r"evaluate: expected shape \(16, any\), got \(16,\)"),
+        ("evaluate short", r"evaluate: expected shape \(16, any\), got \(15, 3\)"),
+    ],
+)
+def test_garbage_from_a_decoder_is_named(place, message):
+    with pytest.raises(PluginError, match=f"decoder 'garbage': {message}"):
+        small.bank(decoder=Spec("garbage", place=place), plugins=small.plugins(("garbage", GarbagePlugin())))
+
+
+class Odd(toys.Size):
+    odd = np.zeros(2)
+
+    def __call__(self, mesh):
+        return self.odd
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"odd": np.zeros(2)}, r"expected values of shape \(3,\).* got shape \(2,\)"),
+        ({"odd": 1.0}, r"got shape \(\)"),
+        ({"odd": None}, r"got shape \(\)"),
+        ({"odd": "long"}, "expected numbers, got 'long'"),
+        ({"units": ("L",)}, "expected 3 units, one for each of .* got "),
+    ],
+)
+def test_garbage_from_a_measure_is_named(monkeypatch, change, message):
+    for name, value in change.items():
+        monkeypatch.setattr(Odd, name, value)
+    with pytest.raises(PluginError, match=f"measure 'odd': .*{message}"):
+        values_of("odd", Odd(), shapes.box())

@@ -408,6 +408,14 @@ def test_a_flipped_face():
     assert failed(judged(trimesh.Trimesh(mesh.vertices, faces, process=False))) == {"watertight", "genus"}
 
 
+def test_a_mesh_turned_inside_out():
+    mesh = shapes.box()
+    mesh.invert()
+    checks = judged(mesh)
+    assert failed(checks) == {"watertight"}
+    assert checks["watertight"].note == "faces point inward"
+
+
 def test_a_body_too_many():
     apart = shapes.box((0.3, 0.3, 0.3), centre=(1, 1, 1))
     checks = judged(trimesh.util.concatenate([shapes.box(), apart]))

@@ -479,6 +479,28 @@ def test_a_bug_keeps_its_traceback_and_is_no_rejection(call, ask, study, monkeyp
     assert "Traceback" in err
 
 
+@pytest.mark.parametrize("code", [0, 1, None])
+def test_a_plugin_that_ends_the_program_is_a_bug(call, ask, study, monkeypatch, code):
+    monkeypatch.setattr("lampopt.cli.designs.run_study", lambda *_, **__: sys.exit(code))
+    assert call("run", study)[0] == 70
+    found, document, _ = ask("run", study)
+    assert (found, document["error"]["type"]) == (70, "SystemExit")
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_and_version_end_well(capsys, option):
+    assert cli.main([option]) == 0
+    assert "lampopt" in capsys.readouterr().out
+
+
+def test_a_reader_that_leaves_is_no_bug():
+    code = "import sys; from lampopt.cli import main; sys.exit(main(['plugins', '--json']))"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
+
+
 def test_json_has_null_where_nothing_is_known():
     value = {"a": [float("nan"), (float("inf"), np.float64("nan"))], "b": 1.5}
     assert _plain(value) == {"a": [None, [None, None]], "b": 1.5}

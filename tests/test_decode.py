@@ -1,5 +1,7 @@
 """Fields to meshes: closed forms, the dense grid as reference, and a count of what was evaluated."""
 
+from dataclasses import dataclass
+
 import igl
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampopt.decode import decode, field_to_mesh, field_to_mesh_dense
-from lampopt.errors import EmptyMesh, InputError
+from lampopt.errors import EmptyMesh, InputError, PluginError
 from lampopt.testing import shapes
 from lampopt.topology import topology
 from lampopt.types import Bank, Frame, Parameter, Spec
@@ -387,3 +389,30 @@ def test_decode_answers_in_the_users_unit_and_place():
         decode(bank, Ball(), np.ones(2, np.float32))
     with pytest.raises(EmptyMesh):
         decode(bank, Ball(), np.array([-0.4], np.float32))
+
+
+@dataclass(frozen=True)
+class Returns:
+    answer: object
+
+    def decode(self, shared, weights, *, resolution):
+        return self.answer
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, "expected a trimesh.Trimesh, got None"),
+        ((np.zeros((3, 3)), [[0, 1, 2]]), "expected a trimesh.Trimesh, got "),
+        (trimesh.Trimesh(np.eye(3), [[0, 1, 7]], process=False), "corners are 0 to 2, got 0 to 7"),
+        (trimesh.Trimesh(np.eye(3), [[0, 1, -1]], process=False), "corners are 0 to 2, got -1 to 1"),
+    ],
+)
+def test_garbage_from_a_decoder_is_named(answer, message):
+    bank = Bank(
+        (Parameter("r", "m", 0.3, 0.5),), np.array([[0.3], [0.5]]), (), np.empty((2, 0)), ("a", "b"),
+        np.array([[0.3], [0.5]], np.float32), {}, Frame(1.0, np.zeros(3)), Spec("odd"),
+        np.zeros((1, 3)), np.zeros((2, 1, 1)), np.zeros(2),
+    )  # fmt: skip
+    with pytest.raises(PluginError, match=f"decoder 'odd': decode: .*{message}"):
+        decode(bank, Returns(answer), np.array([0.4], np.float32))

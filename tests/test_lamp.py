@@ -163,7 +163,7 @@ def test_other_byte_orders_and_odd_layouts_come_back(tmp_path):
 
 @pytest.mark.parametrize("array", [np.array(["text"]), np.array([1j]), np.array([None])], ids=repr)
 def test_arrays_that_a_file_cannot_hold_are_refused_by_name(tmp_path, array):
-    with pytest.raises(InputError, match="shared 'odd'.*array of numbers"):
+    with pytest.raises(InputError, match=r"shared 'odd'.*array of numbers"):
         tiny(shared={"odd": array})
     with pytest.raises(BankError, match=r"odd.*dtype"):
         lamp.write(tmp_path / "a.lamp", {"odd": array}, {})

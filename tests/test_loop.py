@@ -220,6 +220,24 @@ def test_a_sweep_that_cannot_be_is_refused_before_anything_is_computed(grid, mes
     assert not (tmp_path / "run").exists()
 
 
+def test_what_is_no_study_is_refused():
+    for call in (lampopt.run, lampopt.sweep):
+        with pytest.raises(StudyError, match=r"^expected a Study, got 'a\.toml'; read one with Study\.read\(path\)"):
+            call("a.toml")
+
+
+def test_a_sweep_of_too_many_is_refused_before_they_are_made(bank):
+    grid = {"length": np.linspace(2, 3, 400), "width": np.linspace(1, 1.4, 400)}
+    with pytest.raises(StudyError, match="160,000 combinations, at most 100,000 are made at once: give fewer values"):
+        sweep(Study(bank), grid)
+
+
+@pytest.mark.parametrize("name", ["keep", "measures"])
+def test_one_name_is_no_list_of_them(bank, name):
+    with pytest.raises(StudyError, match=f"^{name}: expected a list of names, got 'length'"):
+        lampopt.design(bank, {}, **{name: "length"}, plugins=small.plugins())
+
+
 def test_progress(bank):
     told = []
     list(sweep(Study(bank, level="alpha"), GRID, progress=lambda done, message="": told.append(done)))
@@ -891,6 +909,64 @@ def test_a_folder_that_cannot_be_one_is_refused(bank, tmp_path):
     (tmp_path / "run" / "runs.sqlite").write_text("no database " * 100)
     with pytest.raises(InputError, match=r"runs\.sqlite: is damaged or no database"):
         run(Study(bank, targets=TARGET), tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("alpha", b"x"), ("alpha", 5), ("target", "{"), ("checks", "[[1]]"), ("checks", "5"), ("conflicts", None)],
+)
+def test_a_damaged_row_is_named(bank, tmp_path, column, value):
+    study = Study(bank, targets=TARGET, level="alpha")
+    run(study, tmp_path)
+    with closing(sqlite3.connect(tmp_path / "runs.sqlite")) as database:
+        ((key,),) = database.execute("SELECT key FROM designs").fetchall()
+        database.execute("UPDATE OR IGNORE designs SET " + column + " = ?", (value if value is not None else "x",))
+        database.commit()
+    with pytest.raises(InputError, match=rf"row of design {key} is damaged: .*delete that row .*it is made anew"):
+        run(study, tmp_path)
+    with closing(sqlite3.connect(tmp_path / "runs.sqlite")) as database:
+        database.execute("DELETE FROM designs")
+        database.commit()
+    assert run(study, tmp_path).accepted
+
+
+@pytest.mark.parametrize("place", ["study.toml.writing", "runs.lock"])
+def test_what_cannot_be_written_is_said_and_the_rest_kept(bank, tmp_path, place):
+    study = Study(bank, targets=TARGET)
+    run(study, tmp_path)
+    (tmp_path / place).unlink(missing_ok=True)
+    (tmp_path / place).mkdir()
+    with pytest.raises(InputError, match=r"cannot be written: .*; what is recorded there is kept"):
+        run(study, tmp_path)
+    (tmp_path / place).rmdir()
+    small.CALLS.clear()
+    assert run(study, tmp_path).accepted
+    assert not small.CALLS
+
+
+def test_a_full_disk_is_said(bank, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(trimesh.Trimesh, "export", full)
+    with pytest.raises(InputError, match=r"cannot be written: .*No space left.*; what is recorded there is kept"):
+        run(Study(bank, targets=TARGET), tmp_path)
+
+
+def test_a_locked_database_is_not_damaged(bank, tmp_path, monkeypatch):
+    def locked(*_):
+        raise sqlite3.OperationalError("database is locked")
+
+    monkeypatch.setattr("lampopt.record._prepare", locked)
+    with pytest.raises(InputError, match=r"runs\.sqlite: cannot be used: database is locked"):
+        run(Study(bank, targets=TARGET), tmp_path)
+
+
+def test_a_mesh_is_not_exported_where_no_file_can_be(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "a.stl", tmp_path / "a\0.stl", tmp_path / ("a" * 300 + ".stl")):
+        with pytest.raises(InputError, match="cannot be written"):
+            export_mesh(shapes.box(), path)
 
 
 # plugins in the loop

@@ -335,6 +335,21 @@ def test_options_are_checked(chosen, options, message):
         chosen.make("measure", Spec("options", **options))
 
 
+@dataclass(frozen=True)
+class Raises(Options):
+    error: str = ""
+
+    def __post_init__(self):
+        raise {"os": OSError("no licence"), "exit": SystemExit(3), "key": KeyError("x")}[self.error]
+
+
+@pytest.mark.parametrize(("error", "cause"), [("os", "OSError"), ("exit", "SystemExit"), ("key", "KeyError")])
+def test_whatever_making_one_raises_is_told(error, cause):
+    plugins = small.plugins(("mine", Offering(raises=Raises)))
+    with pytest.raises(PluginError, match=rf"measure 'raises' of plugin 'mine' .*: cannot be made: {cause}"):
+        plugins.make("measure", Spec("raises", error=error))
+
+
 class Hollow:
     """Offers, of each kind, what has nothing of it."""
 

@@ -1,13 +1,15 @@
 """What is asked, posed as a problem and told back in the user's units."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampopt.errors import InputError, StudyError
+from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.solve import column, columns, explain, pose, solve, solve_many
-from lampopt.types import Bank, Conflict, Frame, Mix, Parameter, Spec
+from lampopt.types import Bank, Conflict, Frame, Mix, MixBatch, Parameter, Spec
 from lampopt_kkt.kkt import KKT
 
 LENGTH, WIDTH = [2.0, 3.0, 2.5, 2.2, 2.8, 2.4], [1400.0, 1500.0, 2000.0, 1700.0, 1600.0, 1900.0]
@@ -230,3 +232,34 @@ def test_many_targets_are_one_by_one(names):
 def test_targets_must_be_numbers():
     with pytest.raises(InputError):
         pose(bank(), {"length": float("nan")})
+
+
+@dataclass(frozen=True)
+class Flatters:
+    """A solver that returns what it is given, and says of it that every target is met."""
+
+    answer: object
+
+    def solve(self, problem):
+        return self.answer
+
+    def solve_many(self, problem, targets, ridges=None):
+        return self.answer
+
+
+def test_a_residual_is_computed_not_believed():
+    posed = pose(bank(), {"length": 2.9})
+    middle, target = np.full(6, 1 / 6), [{"length": 2.9}, {"length": 2.8}]
+    mix = solve(posed, Flatters(Mix(middle, np.zeros(1), "exact")))
+    assert mix.residual == pytest.approx(2 * (np.mean(LENGTH) - 2.9))
+    many = solve_many(posed, target, Flatters(MixBatch([middle, middle], np.zeros((2, 1)), ("exact", "exact"))))
+    assert [m.residual[0] for m in many] == pytest.approx([2 * (np.mean(LENGTH) - t["length"]) for t in target])
+
+
+@pytest.mark.parametrize("answer", [None, Mix([0.5, 0.5], [0.0], "exact"), MixBatch([[0.5, 0.5]], [[0.0]], ("exact",))])
+def test_what_is_no_mix_of_the_exemplars_is_refused(answer):
+    posed = pose(bank(), {"length": 2.9})
+    with pytest.raises(PluginError, match=r"^solver Flatters: expected a Mix with alpha \(6,\), got (None|Mix)"):
+        solve(posed, Flatters(answer))
+    with pytest.raises(PluginError, match=r"^solver Flatters: expected a MixBatch with alpha \(1, 6\), got (None|Mix)"):
+        solve_many(posed, [{"length": 2.9}], Flatters(answer))

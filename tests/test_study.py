@@ -116,6 +116,9 @@ def test_a_relative_bank_is_beside_the_study(tmp_path, monkeypatch):
     ("toml", "message"),
     [
         ("bank = ", "study: not valid TOML"),
+        ("seed = " + "9" * 5000, "study: not valid TOML"),
+        ("bank = 'a'\nseed = 0x" + "f" * 5000, "seed: expected a whole number"),
+        ("bank = 'a'\nlimits = { alpha = 0x" + "f" * 5000 + " }", "limits: alpha: expected a finite number"),
         ("x = " + "[" * 100_000, "study: not valid TOML"),
         ("", "expected an entry `bank`"),
         ("bank = 5", "expected an entry `bank`"),
@@ -151,6 +154,11 @@ def test_a_study_that_cannot_be_read_is_named(tmp_path):
         Study.read(tmp_path / "a.toml")
 
 
+def test_a_study_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfbank = 'a.lamp'\n")
+    assert Study.read(tmp_path / "a.toml").bank == tmp_path / "a.lamp"
+
+
 def test_what_toml_cannot_say_is_refused(bank):
     with pytest.raises(StudyError, match="bank: is in no file"):
         Study(bank).to_toml()
@@ -173,6 +181,8 @@ def test_what_toml_cannot_say_is_refused(bank):
         ({"targets": ["length"]}, "targets: expected a table of names and values"),
         ({"targets": {1: 2}}, "targets: expected a table of names and values"),
         ({"limits": 5}, "limits: expected a table of names and values"),
+        ({"limits": {"alpha": 10**400}}, "limits: alpha: expected a finite number of at least 0, got 1000"),
+        ({"seed": 10**400}, "seed: expected a whole number of at least 0 and below"),
         ({"limits": {"alpha": -1}}, "limits: alpha: expected a finite number of at least 0, got -1"),
         ({"limits": {"alpha": float("inf")}}, "limits: alpha: expected a finite number"),
         ({"limits": {"alpha": True}}, "limits: alpha: expected a finite number"),
@@ -189,7 +199,7 @@ def test_what_toml_cannot_say_is_refused(bank):
         ({"resolution": 4097}, "resolution: expected a whole number"),
         ({"resolution": 64.0}, "resolution: expected a whole number"),
         ({"resolution": True}, "resolution: expected a whole number"),
-        ({"seed": -1}, "seed: expected a whole number of at least 0, got -1"),
+        ({"seed": -1}, r"seed: expected a whole number of at least 0 and below 2\*\*63, got -1"),
         ({"seed": 0.5}, "seed: expected a whole number"),
         ({"solver": None}, "solver: expected a name or a Spec, got None"),
         ({"objective": "drag"}, r"objective: expected Reduce\(name, by=fraction\), got 'drag'"),

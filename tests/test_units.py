@@ -67,6 +67,40 @@ def test_what_cannot_become_the_other_is_named(unit, to):
         factor(unit, to, "roof")
 
 
+@pytest.mark.parametrize(
+    "unit",
+    ["m**(9**9**9)", "m**9**9**9", "m^9^9", "m" * 61, "m*", "m cubed cubed cubed cubed", "sq square cubic m^9", "m⁹⁹⁹",
+     "2*m", "m^99", "[m]", "m +m", "__m", "%%",
+     "((m))", "m^(9)"],
+)  # fmt: skip
+def test_a_unit_is_names_and_powers(unit):
+    said = "^x: .*expected a unit such as 'mm' or 'm/s\\^2', got "
+    for one, to in ((unit, "m"), ("m", unit)):
+        with pytest.raises(InputError, match=said):
+            factor(one, to, "x")
+    with pytest.raises(InputError, match=r"^x: "):
+        number(f"1 {unit}", "m", "x")
+
+
+@pytest.mark.parametrize(
+    ("unit", "to"),
+    [("kg m**2 / s**2", "J"), ("N*s", "kg*m*s^-1"), ("m²", "m^2"), ("1/s", "Hz"), ("°C", "degC"), ("°", "deg"),
+     ("µm", "micrometer"), ("metric_ton", "Mg"), ("(N)", "N")],
+)  # fmt: skip
+def test_plain_units_pass(unit, to):
+    assert number(f"1 {unit}", to, "x") == pytest.approx(1)
+
+
+@pytest.mark.parametrize("given", [10**400, -(10**400), 10**5000], ids=["large", "negative", "too long to be shown"])
+def test_whole_numbers_beyond_any_float(given):
+    with pytest.raises(InputError, match=r"^roof: expected a finite number"):
+        number(given, "m", "roof")
+
+
+def test_a_length_unit_is_no_template():
+    assert filled("L^2", r"\1") == r"\1^2"
+
+
 def test_no_factor_leads_from_celsius_to_kelvin():
     for pair in (("degC", "K"), ("K", "degC"), ("degF", "degC")):
         with pytest.raises(InputError, match="different zeros"):

@@ -49,7 +49,9 @@ def main(args: Sequence[str] | None = None) -> int:
             return WRONG
         except click.Abort:  # outside of any command, which says more itself
             return refuse("Interrupted", "interrupted", INTERRUPTED, as_json=as_json)
-        except Exception as error:  # noqa: BLE001  # a bug: it keeps its traceback, and an exit code of its own
+        except (Exception, SystemExit) as error:  # a bug: it keeps its traceback, and an exit code of its own
+            if isinstance(error, SystemExit) and error.code == 1 and "PacifyFlush" in type(sys.stdout).__name__:
+                raise  # click's own way to end where nobody reads on
             traceback.print_exc()
             if as_json:
                 refuse(type(error).__name__, str(error), CRASHED, as_json=True)

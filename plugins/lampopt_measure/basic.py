@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import EmptyMesh, MeasureError
+from lampopt.errors import EmptyMesh, InputError, MeasureError
+from lampopt.meshfile import join
 from lampopt.topology import topology
 from lampopt.types import Array
 
@@ -34,9 +35,15 @@ def with_faces(mesh: Trimesh) -> Trimesh:
 
 
 def merged(mesh: Trimesh) -> Trimesh:
-    """A copy of `mesh` with coinciding vertices joined, as a file of loose triangles (STL) needs it."""
+    """A copy of `mesh` with coinciding vertices joined, as a file of loose triangles (STL) needs it.
+
+    Raises MeasureError where its size is beyond what can be joined.
+    """
     copy = mesh.copy()
-    copy.merge_vertices(merge_tex=True, merge_norm=True)
+    try:
+        join(copy)
+    except InputError as error:
+        raise MeasureError(str(error)) from error
     corners = copy.faces
     copy.update_faces(
         (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
