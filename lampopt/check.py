@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, StudyError
-from lampopt.measured import resolve_address
+from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
 from lampopt.solve import Posed
@@ -209,7 +209,7 @@ class _Measured:
         name = address.partition(".")[0]
         if name not in self._values:
             try:
-                self._values[name] = np.asarray(measure(self._mesh), float)
+                self._values[name] = values_of(name, measure, self._mesh)
             except (MeasureError, EmptyMesh) as error:
                 self._values[name] = error
         values = self._values[name]
@@ -224,7 +224,7 @@ def measure_checks(bank: Bank, mesh: Trimesh, measures: Sequence[str], plugins: 
     for name in measures:
         measure: Measure = plugins.make("measure", name)
         try:
-            values, note = np.asarray(measure(mesh), float), ""
+            values, note = values_of(name, measure, mesh), ""
         except (MeasureError, EmptyMesh) as error:
             values, note = np.full(len(measure.names), np.nan), str(error)
         for value, label, unit in zip(values, measure.names, measure.units, strict=True):

@@ -24,6 +24,7 @@ from lampopt.bank import decoder_of
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, MeasureError, PluginError, StudyError
+from lampopt.measured import values_of
 from lampopt.meshfile import load_mesh
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
@@ -53,7 +54,8 @@ def measure(name: str | Spec, mesh: Trimesh, *, plugins: Plugins | None = None) 
     made: Measure = (plugins or Plugins.load().report()).make("measure", name)
     if len(mesh.faces) == 0:
         raise MeasureError(f"measure {Spec.of(name).name!r}: expected a mesh with faces, got none")
-    return {value: float(v) for value, v in zip(made.names, made(mesh), strict=True)}
+    values = values_of(Spec.of(name).name, made, mesh)
+    return {value: float(v) for value, v in zip(made.names, values, strict=True)}
 
 
 def design(
@@ -78,7 +80,7 @@ def design(
         reference=reference,
         objective=objective,
         solver=solver,
-        measures=measures,  # type: ignore[arg-type]
+        measures=measures,  # type: ignore[arg-type]  # likewise
         limits=limits or {},
         level=level,
         resolution=resolution,

@@ -22,7 +22,8 @@ from lampopt.check import (
     mismatches,
     stranger_checks,
 )
-from lampopt.errors import BankError, InputError, MeasureError, StudyError
+from lampopt.errors import BankError, InputError, MeasureError, PluginError, StudyError
+from lampopt.measured import values_of
 from lampopt.mix import mixed_weights
 from lampopt.plugins import Plugins
 from lampopt.solve import pose
@@ -615,3 +616,15 @@ def test_senses(sense, limit, values):
     else:
         with pytest.raises(InputError, match="a limit belongs to every sense but info"):
             Check("c", 1.0, sense, 1.0, "", "mesh")
+
+
+@pytest.mark.parametrize("answer", [None, 3.0, [1.0, 2.0], ["a"], [[1.0]]], ids=repr)
+def test_a_measure_that_answers_garbage_is_named(answer):
+    class Garbage:
+        names, units = ("size",), ("L",)
+
+        def __call__(self, mesh):
+            return answer
+
+    with pytest.raises(PluginError, match="garbage"):
+        values_of("garbage", Garbage(), shapes.box([1, 1, 1]))
