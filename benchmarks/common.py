@@ -23,7 +23,7 @@ import lampopt
 from lampopt.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE = ("check", "decode", "loop", "measured", "mix", "solve", "topology")  # a judged design depends on them
+CORE = ("check", "decode", "measured", "mix", "mixes", "solve", "task", "topology")  # a judged design depends on them
 ROWS = 1  # raise it when kept rows come to hold something else
 Row = dict[str, Any]
 

@@ -1,10 +1,14 @@
 """lampopt: parameter-controlled shapes from a few dozen exemplars."""
 
 from lampopt.bank import build_bank
+from lampopt.calibrate import calibrate
 from lampopt.exemplars import exemplars
+from lampopt.extrapolation import extrapolation_volume
 from lampopt.hookspecs import hookimpl
+from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
-from lampopt.loop import design, measure, run, sweep
+from lampopt.loop import design, measure, report, results, run, sweep
+from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.study import Reduce, Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
@@ -21,13 +25,21 @@ __all__ = [
     "Result",
     "Spec",
     "Study",
+    "add_exemplars",
     "build_bank",
+    "calibrate",
     "design",
     "exemplars",
+    "extrapolation_volume",
     "hookimpl",
+    "intake",
     "load_bank",
     "measure",
+    "remove_exemplars",
+    "report",
+    "results",
     "run",
     "store_bank",
     "sweep",
+    "wrap",
 ]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, StudyError
+from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError
 from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
@@ -44,6 +44,7 @@ class Limits:
 
     study: Mapping[str, float]
     bank: Mapping[str, float]
+    names: frozenset[str]  # of the checks that a limit can be set for
 
     @classmethod
     def of(cls, bank: Bank, limits: Mapping[str, float]) -> Limits:
@@ -54,10 +55,10 @@ class Limits:
         StudyError, BankError
             If one of the study or of the bank is for a check that does not exist, or no number of at least 0.
         """
-        known = {*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by)}
+        known = frozenset({*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by)})
         _usable(limits, known, "limits", StudyError)
         _usable(bank.limits, known, "limits of the bank", BankError)
-        return cls(limits, bank.limits)
+        return cls(limits, bank.limits, known)
 
     def __getitem__(self, name: str) -> float:
         names = (name,) if name in DEFAULTS else (name, name.rpartition(".")[0])
@@ -65,7 +66,7 @@ class Limits:
         return float(next(table[key] for table in tables for key in names if key in table))
 
 
-def _usable(limits: Mapping[str, float], known: set[str], what: str, error: type[InputError]) -> None:
+def _usable(limits: Mapping[str, float], known: frozenset[str], what: str, error: type[InputError]) -> None:
     if unknown := sorted(set(limits) - known):
         raise error(f"{what}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
     for name, limit in limits.items():
@@ -97,39 +98,47 @@ def _met(name: str, off: Array, limits: Limits, note: str) -> Check:
     return Check(name, float(np.abs(off).max(initial=0.0)), "<=", limits[name], "half range", "alpha", note)
 
 
-def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tuple[float, float]:
-    """The linearity mismatch over all probes and over those within `BAND` of the surface [box].
+def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tuple[Array, Array]:
+    """The linearity mismatch over all probes and over those within `BAND` of the surface (...,) [box].
 
     The mean of |f(z; Wᵀalpha) − Σ alpha_i f(z; w_i)| (paper, section 3), with f(z; w_i) stored in the bank: one
     forward pass and one product in place of N + 1 passes. The band's is NaN for decoders whose values are no
-    distances (C > 1), or where no probe is near.
+    distances (C > 1), or where no probe is near. Takes alpha (..., N) with weights (..., D).
+
+    Raises
+    ------
+    BankError
+        If the decoder answers in another shape than it did when the bank was built.
     """
     mixed = np.asarray(decoder.evaluate(bank.shared, weights, bank.probes), float)
     linear = np.tensordot(alpha, bank.probe_values, 1)
+    if mixed.shape != linear.shape:
+        raise BankError(
+            f"decoder {bank.decoder.name!r}: expected values of shape {linear.shape} at the probes, as when the bank "
+            f"was built, got {mixed.shape}: another version of the decoder, or a damaged bank; build it anew"
+        )
     gap = np.linalg.norm(mixed - linear, axis=-1)
+    box = gap.mean(-1)
     if mixed.shape[-1] != 1:
-        return float(gap.mean()), float("nan")
-    near = np.minimum(np.abs(mixed), np.abs(linear))[:, 0] <= BAND
-    return float(gap.mean()), float(gap[near].mean()) if near.any() else float("nan")
+        return box, np.full_like(box, np.nan)
+    near = np.minimum(np.abs(mixed), np.abs(linear))[..., 0] <= BAND
+    count = near.sum(-1)
+    return box, np.where(count > 0, (gap * near).sum(-1) / np.maximum(count, 1), np.nan)
+
+
+def mismatch_checks(box: float, band: float, limits: Limits) -> list[Check]:
+    """The lines of evidence about what `mismatches` found."""
+    found = [Check("mismatch", box, "<=", limits["mismatch"], "box", "field", "linearity, all of the box")]
+    if np.isfinite(band):
+        note = f"linearity within {BAND} of the surface"
+        found.append(Check("mismatch.band", band, "<=", limits["mismatch.band"], "box", "field", note))
+    return found
 
 
 def field_checks(bank: Bank, decoder: Decoder, design: Design, limits: Limits) -> list[Check]:
     """What the decoder's values at the probes tell, without a mesh."""
     box, band = mismatches(bank, decoder, design.mix.alpha, design.weights)
-    found = [Check("mismatch", box, "<=", limits["mismatch"], "box", "field", "linearity, all of the box")]
-    if np.isfinite(band):
-        found.append(
-            Check(
-                "mismatch.band",
-                band,
-                "<=",
-                limits["mismatch.band"],
-                "box",
-                "field",
-                f"linearity within {BAND} of the surface",
-            )
-        )
-    return found
+    return mismatch_checks(float(box), float(band), limits)
 
 
 def mesh_checks(
@@ -157,7 +166,8 @@ def mesh_checks(
         found.append(_clearance(bank, decoder, mesh, resolution, limits))
     found += drift_checks(bank, design.mix.alpha, mesh, limits, plugins)
     if isinstance(decoder, DesignChecks):
-        found += decoder.design_checks(bank.shared, design.weights, bank.frame.to_box(mesh))
+        theirs = decoder.design_checks(bank.shared, design.weights, bank.frame.to_box(mesh))
+        found += _checks(f"decoder {bank.decoder.name!r}: design_checks", theirs)
     return found
 
 
@@ -236,4 +246,11 @@ def measure_checks(bank: Bank, mesh: Trimesh, measures: Sequence[str], plugins: 
 
 def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker], needs: Needs) -> list[Check]:
     """What plugins' checkers of this level say."""
-    return [check for checker in checkers.values() if checker.needs == needs for check in checker(bank, design)]
+    asked = {name: checker for name, checker in checkers.items() if checker.needs == needs}
+    return [check for name, checker in asked.items() for check in _checks(f"check {name!r}", checker(bank, design))]
+
+
+def _checks(who: str, answer: object) -> Sequence[Check]:
+    if not isinstance(answer, Sequence) or not all(isinstance(check, Check) for check in answer):
+        raise PluginError(f"{who}: expected a list of lampopt.Check, got {answer!r:.80}")
+    return answer

@@ -33,6 +33,10 @@ class SolveError(LampoptError):
     """A problem that a solver is not able to take, by the name of the missing ability."""
 
 
+class SweepError(LampoptError):
+    """A sweep that lost a worker; what is finished is kept."""
+
+
 class MeasureError(LampoptError):
     """A feature that is not there to be measured."""
 

@@ -9,7 +9,6 @@ import hashlib
 import json
 import math
 import os
-import struct
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -18,11 +17,16 @@ from typing import Any
 import numpy as np
 
 from lampopt.errors import BankError, InputError
-from lampopt.types import Array, Bank, Frame, Parameter, Spec
+from lampopt.reading import brief, plain_file, why
+from lampopt.types import Array, Bank, Calibration, Frame, Parameter, Spec
 
 FORMAT = "lampopt bank"
-SCHEMA = 1
-MIGRATIONS: Mapping[int, Any] = {}  # schema → function that turns its record into the next schema's
+HEADER = 2**22  # bytes of a header: read as JSON, it may take thirty times as much memory
+ARRAYS = 10_000
+SCHEMA = 2
+MIGRATIONS: Mapping[int, Any] = {  # schema → function that turns its record into the next schema's
+    1: lambda record: {**record, "calibration": None},
+}
 DTYPES = {
     "F64": np.float64,
     "F32": np.float32,
@@ -37,7 +41,9 @@ DTYPES = {
     "U8": np.uint8,
     "BOOL": np.bool_,
 }
+EVIDENCE = ("values", "errors", "exemplars")  # of a calibration
 PLAIN = ("parameters", "labels", "weights", "probes", "probe_values", "fit_error", "measured")
+KINDS = {"weights": "F32", "probe_values": "F32", "calibration.exemplars": "I64"}  # of arrays; F64 where not named
 
 
 def digest(array: Array) -> str:
@@ -54,7 +60,7 @@ def write(path: Path, arrays: Mapping[str, Array], record: Mapping[str, Any]) ->
     Raises
     ------
     BankError
-        If an array is of a kind that the format does not know, or the place cannot be written.
+        If an array is of a kind that the format does not know, the header is too long, or the place cannot be written.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import save_file
@@ -62,6 +68,11 @@ def write(path: Path, arrays: Mapping[str, Array], record: Mapping[str, Any]) ->
     arrays = {name: _plain(array, name) for name, array in arrays.items()}
     head = json.loads(json.dumps({**record, "hashes": {name: digest(array) for name, array in arrays.items()}}))
     text = json.dumps({**head, "hash": _seal(head)}, sort_keys=True)
+    if len(arrays) > ARRAYS or len(json.dumps(text)) + 200 * len(arrays) > HEADER:
+        raise BankError(
+            f"{path}: expected at most {ARRAYS:,} arrays, and {HEADER:,} bytes of names and facts, got "
+            f"{len(arrays):,} and {len(text):,}: shorten them"
+        )
     temporary = path.with_name(f"{path.name}.{os.getpid()}.writing")  # another process may write here too
     try:
         temporary.touch()
@@ -91,52 +102,93 @@ def _seal(head: Mapping[str, Any]) -> str:
     return hashlib.blake2b(json.dumps(head, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
-def read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+def read(path: str | Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """The arrays of a file written by `write`, mapped, their hashes checked; and its record.
 
     Raises
     ------
     BankError
-        If the file is missing, cut short, altered or of another kind.
+        If the file is missing, may not be opened, is cut short, altered or of another kind.
     """
     from safetensors import SafetensorError, safe_open
 
     try:
-        with safe_open(path, framework="numpy") as file:  # checks the layout: sizes, overlaps, dtypes
-            record = json.loads((file.metadata() or {})["lampopt"])
+        path = plain_file(path, kind=".lamp file")
+        size = path.stat().st_size
         with open(path, "rb") as raw:
-            (length,) = struct.unpack("<Q", raw.read(8))
-            header = json.loads(raw.read(length))
-    except FileNotFoundError as error:
-        raise BankError(f"{path}: no such file") from error
-    except (SafetensorError, KeyError, ValueError, RecursionError, OSError, struct.error) as error:
-        raise BankError(f"{path}: expected a .lamp file, got something else or a damaged one: {error}") from error
-    header.pop("__metadata__")
-    if not isinstance(record, dict) or record.pop("hash", None) != _seal(record):
-        raise BankError(f"{path}: its header is not what was written; the file is damaged")
+            length = int.from_bytes(raw.read(8), "little")
+            if not 2 <= length <= min(HEADER, size - 8):
+                raise _DamagedError(f"its header promises {length:,} bytes")
+            header = _json(raw.read(length))
+        with safe_open(path, framework="numpy"):  # checks the layout: sizes, overlaps, dtypes
+            pass
+        record = _json(header.pop("__metadata__")["lampopt"])
+        seal = record.pop("hash")
+    except InputError as error:
+        raise BankError(f"{brief(path)}: {error}") from error
+    except OSError as error:
+        raise BankError(f"{path}: cannot be opened: {why(error)}") from error
+    except (SafetensorError, KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        what = f"expected a .lamp file, got something else or a damaged one: {brief(error)}"
+        raise BankError(f"{path}: {what}") from error
     hashes = record.get("hashes")
-    if not isinstance(hashes, dict) or set(hashes) != set(header):
-        raise BankError(f"{path}: its arrays are not those that its header lists; the file is damaged")
-    arrays = {}
-    for name, entry in header.items():
-        if entry["dtype"] not in DTYPES:
-            raise BankError(f"{path}: array {name!r} has dtype {entry['dtype']}, expected one of {sorted(DTYPES)}")
-        dtype, shape = np.dtype(DTYPES[entry["dtype"]]), tuple(entry["shape"])
-        start = 8 + length + entry["data_offsets"][0]
-        try:
-            mapped = np.memmap(path, dtype, "r", start, shape) if math.prod(shape) else np.zeros(shape, dtype)
-        except (ValueError, OverflowError, OSError) as error:
-            raise BankError(f"{path}: array {name!r} of shape {shape} cannot be mapped: {error}") from error
-        arrays[name] = np.asarray(mapped)
-        if digest(arrays[name]) != hashes[name]:
-            raise BankError(f"{path}: array {name!r} is not what was written; the file is damaged")
+    try:
+        if seal != _seal(record):
+            raise _DamagedError("its header is not what was written")
+        if len(header) > ARRAYS:
+            raise _DamagedError(f"it has {len(header):,} arrays, expected at most {ARRAYS:,}")
+        if not isinstance(hashes, dict) or set(hashes) != set(header):
+            raise _DamagedError("its arrays are not those that its header lists")
+        arrays = {name: _mapped(path, size, 8 + length, name, entry) for name, entry in header.items()}
+        for name, array in arrays.items():
+            if digest(array) != hashes[name]:
+                raise _DamagedError(f"array {brief(name)!r} is not what was written")
+    except (_DamagedError, OSError, RecursionError) as error:
+        raise BankError(f"{path}: {brief(error)}; the file is damaged") from error
     return arrays, record
+
+
+class _DamagedError(ValueError):
+    """What a file says of itself is not so."""
+
+
+def _json(text: str | bytes) -> dict[str, Any]:
+    """A JSON object, no name twice in it: readers differ in which they take."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            raise _DamagedError("its header has a name twice")
+        return found
+
+    found = json.loads(text, object_pairs_hook=once)
+    if not isinstance(found, dict):
+        raise _DamagedError("its header is not what was written")
+    return found
+
+
+def _mapped(path: Path, size: int, body: int, name: str, entry: Mapping[str, Any]) -> Array:
+    """One array of a file of `size` bytes whose arrays start at `body`, mapped as its `entry` says."""
+    if entry["dtype"] not in DTYPES:
+        raise BankError(f"{path}: array {brief(name)!r} has dtype {entry['dtype']}, expected one of {sorted(DTYPES)}")
+    dtype, shape, (first, last) = np.dtype(DTYPES[entry["dtype"]]), tuple(entry["shape"]), entry["data_offsets"]
+    if not 0 <= first <= last <= size - body or last - first != math.prod(shape) * dtype.itemsize:
+        raise _DamagedError(f"array {brief(name)!r} lies outside the file")
+    try:
+        return np.asarray(np.memmap(path, dtype, "r", body + first, shape) if first < last else np.zeros(shape, dtype))
+    except (ValueError, OverflowError) as error:
+        raise _DamagedError(
+            f"array {brief(name)!r} of shape {brief(shape)} cannot be mapped: {brief(error)}"
+        ) from error
 
 
 def store_bank(bank: Bank, path: str | Path) -> Bank:
     """Write `bank` to a `.lamp` file and return it as read from there."""
     path = Path(path)
     arrays = {name: getattr(bank, name) for name in PLAIN} | {f"shared.{k}": v for k, v in bank.shared.items()}
+    found = bank.calibration
+    if found is not None:
+        arrays |= {f"calibration.{name}": getattr(found, name) for name in EVIDENCE}
     record = {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -148,6 +200,7 @@ def store_bank(bank: Bank, path: str | Path) -> Bank:
         "measured_by": [list(pair) for pair in bank.measured_by.items()],  # in the order of `measured`
         "mesh_facts": dict(bank.mesh_facts),
         "limits": dict(bank.limits),
+        "calibration": None if found is None else {"tolerance": found.tolerance, "checks": list(found.checks)},
         "provenance": dict(bank.provenance),
     }
     write(path, arrays, record)
@@ -162,31 +215,57 @@ def load_bank(path: str | Path) -> Bank:
     BankError
         If the file is missing, damaged, no bank, or of a newer lampopt.
     """
-    path = Path(path)
     arrays, record = read(path)
+    path = Path(path)
     if record.get("format") != FORMAT:
-        raise BankError(f"{path}: expected a bank, got {record.get('format')!r}")
+        raise BankError(f"{path}: expected a bank, got {brief(record.get('format'))!r}")
     schema = record.get("schema")
     if isinstance(schema, bool) or not isinstance(schema, int) or schema < 1:
-        raise BankError(f"{path}: expected a schema from 1 to {SCHEMA}, got {schema!r}")
+        raise BankError(f"{path}: expected a schema from 1 to {SCHEMA}, got {brief(schema)}")
     if schema > SCHEMA:
         raise BankError(f"{path}: schema {schema} is newer than this lampopt reads ({SCHEMA}): update lampopt")
     for step in range(schema, SCHEMA):
         record = MIGRATIONS[step](record)
     try:
         return Bank(
-            space=tuple(Parameter(*q) for q in record["space"]),
-            label_space=tuple(Parameter(*q) for q in record["label_space"]),
-            names=tuple(record["names"]),
+            space=_space(record["space"]),
+            label_space=_space(record["label_space"]),
+            names=tuple(_listed(record["names"])),
             shared={k.removeprefix("shared."): v for k, v in arrays.items() if k.startswith("shared.")},
             frame=Frame(**record["frame"]),
             decoder=Spec(record["decoder"]["name"], **record["decoder"]["options"]),
             measured_by=dict(record["measured_by"]),
             mesh_facts=record["mesh_facts"],
             limits=record["limits"],
+            calibration=_calibration(record["calibration"], arrays),
             provenance=record["provenance"],
             path=path,
-            **{name: arrays[name] for name in PLAIN},
+            **{name: _kept(arrays, name) for name in PLAIN},
         )
-    except (KeyError, TypeError, AttributeError, ValueError, InputError) as error:
-        raise BankError(f"{path}: its header does not describe a bank: {error!r}") from error
+    except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        raise BankError(f"{path}: its header does not describe a bank: {brief(repr(error))}") from error
+
+
+def _listed(value: object) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError(f"expected a list, got {brief(value)}")
+    return value
+
+
+def _space(entries: object) -> tuple[Parameter, ...]:
+    return tuple(Parameter(*_listed(entry)) for entry in _listed(entries))
+
+
+def _kept(arrays: Mapping[str, Array], name: str) -> Array:
+    """An array of the kind that it was written as: another would be converted, to eight times its size."""
+    wanted = np.dtype(DTYPES[KINDS.get(name, "F64")])
+    if arrays[name].dtype != wanted:
+        raise TypeError(f"array {name!r}: expected {wanted}, got {arrays[name].dtype}")
+    return arrays[name]
+
+
+def _calibration(record: Mapping[str, Any] | None, arrays: Mapping[str, Array]) -> Calibration | None:
+    if record is None:
+        return None
+    evidence = {name: _kept(arrays, f"calibration.{name}") for name in EVIDENCE}
+    return Calibration(tolerance=record["tolerance"], checks=tuple(_listed(record["checks"])), **evidence)

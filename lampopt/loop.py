@@ -5,41 +5,34 @@ source ─ exemplars ─► bank ─► solve ─► mix ─► decode ─► ch
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import logging
 import math
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
-from functools import cached_property
-from importlib.metadata import version
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import closing, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lampopt import lamp
 from lampopt.bank import decoder_of
-from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
-from lampopt.decode import decode
-from lampopt.errors import EmptyMesh, InputError, MeasureError, PluginError, StudyError
+from lampopt.errors import BankError, LampoptError, MeasureError, StudyError, SweepError
 from lampopt.measured import values_of
-from lampopt.meshfile import load_mesh
-from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
-from lampopt.protocols import Checker, Decoder, Measure, Progress, Solver
+from lampopt.protocols import Decoder, Measure, Progress
 from lampopt.record import RunFolder
-from lampopt.solve import Posed, pose, solve, solve_many
 from lampopt.study import Reduce, Study, Value
-from lampopt.types import LEVELS, Bank, Check, Design, Mix, Needs, Result, Scalar, Spec
+from lampopt.task import Designer, Task, contents
+from lampopt.types import Bank, Needs, Result, Spec
+from lampopt.units import said
+from lampopt.workers import judged, state
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
 MOST = 100_000  # combinations of a sweep
-BATCH = 256  # targets of a sweep that are solved together
 log = logging.getLogger("lampopt")
 
 
@@ -88,10 +81,15 @@ def design(
     return run(study, plugins=plugins)
 
 
-def run(study: Study, folder: str | Path | None = None, *, plugins: Plugins | None = None) -> Result:
-    """The design that `study` asks for; with `folder` recorded there, or read back if it is there already."""
+def run(
+    study: Study, folder: str | Path | None = None, *, report: bool = True, plugins: Plugins | None = None
+) -> Result:
+    """The design that `study` asks for; with `folder` recorded there, or read back if it is there already.
+
+    `report` says whether `report.html` is written there too.
+    """
     _expect_study(study)
-    (result,) = _Run.of(study, plugins).results([{}], folder, None)
+    (result,) = _results(Task.of(study, plugins), [{}], folder, None, None, report)
     return result
 
 
@@ -100,12 +98,12 @@ def sweep(
     grid: Grid | None = None,
     folder: str | Path | None = None,
     *,
+    executor: Executor | None = None,
+    report: bool = True,
     progress: Progress | None = None,
     plugins: Plugins | None = None,
-) -> Iterator[Result]:
-    """One design for each combination of the values in `grid`, yielded as they come; nothing is held.
-
-    They are made in this process, one after the other; executors for many at once come later.
+) -> Generator[Result, None, None]:
+    """One design for each combination of the values in `grid`, yielded in order as they come; nothing is held.
 
     Parameters
     ----------
@@ -115,21 +113,75 @@ def sweep(
         Values by name, every combination of which is made, or a list of target tables; default: `study.sweep`.
     folder
         Where results are recorded. Designs that are there already are read back, not computed again.
+    executor
+        Who makes them, as in `concurrent.futures`, many at once; by default this process, one after the other. The
+        results are the same. Other processes read the bank from its file, or from `folder`. It is not shut down.
+    report
+        Whether `report.html` is written into `folder` when all are there.
     progress
         Told how far it is.
+    plugins
+        What to choose from, if not all that is installed.
 
     Raises
     ------
     StudyError
         Before anything is computed, if the study asks for what cannot be.
+    SweepError
+        If a worker is lost: what is finished is recorded, and the same sweep goes on with the rest.
     """
     _expect_study(study)
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise StudyError(f"executor: expected one as in concurrent.futures, with submit, got {executor!r:.80}")
     if isinstance(grid, Mapping):
         study = replace(study, sweep=grid)
-    changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else [dict(t) for t in grid]
+    changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else _tables(grid)
     if not changes:
         raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, got none")
-    return _Run.of(study, plugins).results(changes, folder, progress)
+    return _results(Task.of(study, plugins), changes, folder, progress, executor, report)
+
+
+def results(folder: str | Path, *, plugins: Plugins | None = None) -> Iterator[Result]:
+    """Every result recorded in a run folder, in the order recorded.
+
+    Nothing is computed: a mesh is read from its file when it is looked at; only one that is gone or was altered is
+    decoded again, and written anew where that can be. A folder that cannot be written, or is still being written, can
+    be read.
+
+    Raises
+    ------
+    InputError
+        If no run is recorded in `folder`, or what is recorded there is damaged.
+    """
+    study = Study.read(Path(folder) / "study.toml")
+    return _recorded(Path(folder), study, study.opened(), plugins)
+
+
+def report(folder: str | Path, *, plugins: Plugins | None = None) -> Path:
+    """Write `report.html` into a run folder: what was asked, what came, the evidence. Returns its path.
+
+    Raises
+    ------
+    InputError
+        As `results`, or if it cannot be written.
+    """
+    study = Study.read(Path(folder) / "study.toml")
+    return _report(Path(folder), study, study.opened(), plugins)
+
+
+def _recorded(folder: Path, study: Study, bank: Bank, plugins: Plugins | None) -> Iterator[Result]:
+    def decoder() -> Decoder:
+        return decoder_of(bank, plugins or Plugins.load().report())
+
+    with RunFolder.open_to_read(folder) as place:
+        yield from place.results(bank, Designer(bank, decoder, study.resolution))
+
+
+def _report(folder: Path, study: Study, bank: Bank, plugins: Plugins | None) -> Path:
+    from lampopt.reporting import write_report
+
+    written: Path = write_report(folder, study, bank, _recorded(folder, study, bank, plugins), plugins=plugins)
+    return written
 
 
 def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
@@ -144,225 +196,101 @@ def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
 
 
+def _tables(grid: object) -> list[dict[str, Value]]:
+    """`grid` as a list of target tables."""
+    wanted = "sweep: expected values by name, such as {'roof': [1.30, 1.36]}, or a list of tables {'roof': 1.30}"
+    if isinstance(grid, str) or not isinstance(grid, Iterable):
+        raise StudyError(f"{wanted}, got {said(grid)}")
+    tables = list(itertools.islice(grid, MOST + 1))
+    if len(tables) > MOST:
+        raise StudyError(f"sweep: more than {MOST:,} tables; sweep parts of them into the same folder")
+    if wrong := [table for table in tables if not isinstance(table, Mapping)]:
+        raise StudyError(f"{wanted}, got a list with {said(wrong[0])}")
+    return [dict(table) for table in tables]
+
+
 def _expect_study(study: object) -> None:
     if not isinstance(study, Study):
         raise StudyError(f"expected a Study, got {study!r}; read one with Study.read(path)")
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """A study with everything it names found and opened."""
-
-    study: Study
-    bank: Bank
-    decoder: Decoder
-    solver: Solver
-    limits: Limits
-    checkers: Mapping[str, Checker]
-    plugins: Plugins
-
-    @classmethod
-    def of(cls, study: Study, plugins: Plugins | None) -> _Run:
-        plugins = plugins or Plugins.load().report()
-        _require(study, plugins)
-        bank = study.opened()
-        solver: Solver = plugins.make("solver", study.solver)
-        checkers: dict[str, Checker] = {name: plugins.make("check", name) for name in study.checks}
-        for name, made in checkers.items():
-            if made.needs not in LEVELS:
-                raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
-        for name in study.measures:
-            plugins.get("measure", name)
-        return cls(study, bank, decoder_of(bank, plugins), solver, Limits.of(bank, study.limits), checkers, plugins)
-
-    def results(
-        self, changes: Sequence[Mapping[str, Value]], folder: str | Path | None, progress: Progress | None
-    ) -> Iterator[Result]:
-        """Check every target first, then yield the results one by one."""
-        asked = [self._asked(change) for change in changes]
-        for target in {tuple(target): target for target in asked}.values():  # one for each set of names
-            self.posed(target)  # raises here, before the first design, what cannot be asked
-        return self._yield(asked, folder, progress)
-
-    def _asked(self, change: Mapping[str, Value]) -> dict[str, float]:
-        targets = {**self.study.targets, **change}
-        return replace(self.study, targets=targets, sweep={}).asked(self.bank)
-
-    def _yield(
-        self, asked: Sequence[Mapping[str, float]], folder: str | Path | None, progress: Progress | None
-    ) -> Iterator[Result]:
-        with RunFolder.open(folder) if folder is not None else nullcontext() as place:
-            identity = ""
-            if place is not None:
-                identity = self._identity()
-                place.write_study(self._stored(place.folder).to_toml())
-            mixes = _Mixes(self, asked)
-            for number, target in enumerate(asked):
-                if progress:
-                    progress(number / len(asked), f"design {number + 1} of {len(asked)}")
-                if place is None:
-                    yield self._judge(target, *mixes.at(number))
-                    continue
-                key = _hash({"run": identity, "target": dict(target)})
-                result = place.read(key, self._design)
-                if result is None:
-                    began = time.perf_counter()
-                    result = self._judge(target, *mixes.at(number))
-                    seconds = time.perf_counter() - began
-                    result = place.write(key, result, self.bank, form=self.study.format, seconds=seconds)
-                    self.plugins.recorded(result, result.folder or place.folder)
-                yield result
-            if progress:
-                progress(1.0, f"{len(asked)} designs")
-
-    def _judge(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
-        """One design through mix, decode and check, as far as the study's level."""
-        made = self._design(target, mix)
-        checks = alpha_checks(posed, mix, self.limits)
-        for level in LEVELS[: LEVELS.index(self.study.level) + 1]:
-            if level == "field":
-                checks += field_checks(self.bank, self.decoder, made, self.limits)
-            if level == "mesh":
-                checks += mesh_checks(self.bank, self.decoder, made, self.study.resolution, self.limits, self.plugins)
-                if made.mesh is None:
-                    break  # nothing is left to be measured or judged
-                checks += measure_checks(self.bank, made.mesh, self.study.measures, self.plugins)
-            checks += stranger_checks(self.bank, made, self.checkers, level)
-        return Result(made, tuple(_unique(checks)), dict(self._provenance))
-
-    def posed(self, target: Mapping[str, float]) -> Posed:
-        """The problem that one target poses."""
-        study = self.study
-        return pose(self.bank, target, ranges=study.bounds(self.bank), hard=study.hard, reference=study.reference)
-
-    def _design(self, target: Mapping[str, float], mix: Mix, mesh: Path | None = None) -> Design:
-        weights = mixed_weights(self.bank, mix.alpha)
-
-        def make() -> Trimesh | None:
-            if mesh is not None and mesh.exists():
-                try:
-                    found = load_mesh(mesh)
-                except InputError as error:
-                    log.warning("%s; it is decoded again", error)
-                else:
-                    found.units = self.bank.frame.unit
-                    return found
-            try:
-                return decode(self.bank, self.decoder, weights, resolution=self.study.resolution)
-            except EmptyMesh:
-                return None
-
-        return Design(target, mix, predicted(self.bank, mix.alpha), weights, make)
-
-    def _stored(self, folder: Path) -> Study:
-        """The study with a bank that TOML can name: one that is in no file is stored in the run folder."""
-        if isinstance(self.study.bank, Bank) and self.study.bank.path is None:
-            path = folder / "bank.lamp"
-            lamp.store_bank(self.bank, path)
-            return replace(self.study, bank=path.name)
-        path = self.bank.path or Path(str(self.study.bank))
-        return replace(self.study, bank=str(path.resolve()))
-
-    def _identity(self) -> str:
-        """A hash of all but the target that a result depends on."""
-        study = self.study
-        drift = self.bank.measured_by.values() if study.level == "mesh" else ()
-
-        def offer(kind: str, name: str) -> str:
-            return str(self.plugins.get(kind, name))
-
-        return _hash(
-            {
-                "versions": dict(self._provenance),
-                "space": [str(q) for q in (*self.bank.space, *self.bank.label_space)],
-                "names": self.bank.names,
-                "measured_by": dict(self.bank.measured_by),
-                "mesh_facts": dict(self.bank.mesh_facts),
-                "frame": [self.bank.frame.scale, self.bank.frame.centre.tolist(), self.bank.frame.unit],
-                "bank": [lamp.digest(getattr(self.bank, name)) for name in lamp.PLAIN],
-                "shared": {name: lamp.digest(array) for name, array in self.bank.shared.items()},
-                "limits": [dict(study.limits), dict(self.bank.limits)],
-                "decoder": repr(self.bank.decoder),
-                "solver": repr(study.solver),
-                "reference": study.reference,
-                "ranges": study.bounds(self.bank),
-                "hard": study.hard,
-                "measures": {name: offer("measure", name) for name in study.measures},
-                "drift": {address: offer("measure", address.partition(".")[0]) for address in drift},
-                "checks": {name: offer("check", name) for name in study.checks},
-                "format": study.format,
-                "level": study.level,
-                "resolution": study.resolution,
-                "seed": study.seed,
-            }
-        )
-
-    @cached_property
-    def _provenance(self) -> Mapping[str, Scalar]:
-        solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
-        decoder = self.plugins.get("decoder", self.bank.decoder.name)
-        return {
-            **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
-            "lampopt": version("lampopt"),
-            "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
-            "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",
-            "level": self.study.level,
-            "resolution": self.study.resolution,
-        }
+def _results(
+    task: Task,
+    changes: Sequence[Mapping[str, Value]],
+    folder: str | Path | None,
+    progress: Progress | None,
+    executor: Executor | None,
+    report: bool,
+) -> Generator[Result, None, None]:
+    """Check every target first, then yield the results one by one."""
+    asked = [task.asked(change) for change in changes]
+    for target in {tuple(target): target for target in asked}.values():  # one for each set of names
+        task.posed(target)  # raises here, before the first design, what cannot be asked
+    return _yield(task, asked, folder, progress, executor, report)
 
 
-class _Mixes:
-    """The mixes of many targets. A batch is solved when the first of it is wanted, and only one is held.
-
-    Batches are fixed by the order of the targets, so that a sweep that goes on ends with the very same coefficients.
-    Where the first of a batch is not met exactly, all of it are solved one by one, each when it is wanted: they would
-    have to be asked for their reasons anyway.
-    """
-
-    def __init__(self, run: _Run, asked: Sequence[Mapping[str, float]]) -> None:
-        self._run, self._asked = run, asked
-        self._batch, self._solved = range(0), list[tuple[Posed, Mix]]()
-
-    def at(self, number: int) -> tuple[Posed, Mix]:
-        """The problem of one target, and its mix."""
-        if number not in self._batch:
-            self._batch = next(batch for batch in self._batches() if number in batch)
-            self._solved = self._together([self._asked[i] for i in self._batch])
-        return self._solved[number - self._batch.start] if self._solved else self._alone(self._asked[number])
-
-    def _batches(self) -> Iterator[range]:
-        """Neighbours that ask for the same names, `BATCH` at most."""
-        for _, same in itertools.groupby(range(len(self._asked)), key=lambda i: tuple(self._asked[i])):
-            found = list(same)
-            yield from (range(first, min(first + BATCH, found[-1] + 1)) for first in found[::BATCH])
-
-    def _together(self, targets: Sequence[Mapping[str, float]]) -> list[tuple[Posed, Mix]]:
-        """The whole batch, or nothing where that is of no use."""
-        if len(targets) == 1:
-            return []
-        posed, first = self._alone(targets[0])
-        return [(posed, mix) for mix in solve_many(posed, targets, self._run.solver)] if first.status == "exact" else []
-
-    def _alone(self, target: Mapping[str, float]) -> tuple[Posed, Mix]:
-        posed = self._run.posed(target)
-        return posed, solve(posed, self._run.solver)
+def _yield(
+    task: Task,
+    asked: Sequence[Mapping[str, float]],
+    folder: str | Path | None,
+    progress: Progress | None,
+    executor: Executor | None,
+    report: bool,
+) -> Generator[Result, None, None]:
+    tell = progress or (lambda done, message="": None)
+    with RunFolder.open(folder) if folder is not None else nullcontext() as place:
+        file = None
+        if place is not None:
+            file = _bank_file(task, place.folder)
+            name = file.name if file.parent == place.folder else str(file.resolve())
+            place.write_study(replace(task.study, bank=name).to_toml())
+        elif executor is not None and _is_in_its_file(task):
+            file = task.bank.path
+        with _said_when_stopped(task, asked, place), closing(judged(task, asked, place, executor, file)) as made:
+            for number in range(len(asked)):
+                tell(number / len(asked), f"design {number + 1} of {len(asked)}")
+                yield next(made)
+        tell(1.0, f"{len(asked)} designs")
+        if place is not None and report:
+            _report_if_possible(task, place.folder)
 
 
-def _require(study: Study, plugins: Plugins) -> None:
-    present = {*plugins.owners, *(distribution for distribution, _ in plugins.owners.values())}
-    if missing := [name for name in study.requires if name not in present]:
-        raise PluginError(
-            f"study requires {', '.join(missing)}, not installed; installed are {', '.join(sorted(present))}"
-        )
+def _bank_file(task: Task, folder: Path) -> Path:
+    """The file that holds the bank; one that is in none, or was altered since it was read, is stored in `folder`."""
+    if task.bank.path is not None and _is_in_its_file(task):
+        return task.bank.path
+    lamp.store_bank(task.bank, folder / "bank.lamp")
+    return folder / "bank.lamp"
 
 
-def _unique(checks: Sequence[Check]) -> list[Check]:
-    """The checks, refusing a plugin's that takes the name of another: evidence must not be shadowed."""
-    names = [check.name for check in checks]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise PluginError(f"checks: {', '.join(twice)} come twice; a plugin's checks need names of their own")
-    return list(checks)
+def _is_in_its_file(task: Task) -> bool:
+    """Whether its file still holds the bank, which may have been altered in memory since."""
+    bank = task.bank
+    if bank.path is None or not isinstance(task.study.bank, Bank):  # else it was read from there just now
+        return bank.path is not None
+    try:
+        stored = lamp.load_bank(bank.path)
+    except BankError:
+        return False
+    return contents(stored) == contents(bank) and stored.provenance == bank.provenance
 
 
-def _hash(value: object) -> str:
-    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=12).hexdigest()
+@contextmanager
+def _said_when_stopped(task: Task, asked: Sequence[Mapping[str, float]], place: RunFolder | None) -> Iterator[None]:
+    """Say how much of a sweep is done where something stops it; a consumer who wants no more is not told."""
+    try:
+        yield
+    except (Exception, KeyboardInterrupt) as error:
+        if place is not None and len(asked) > 1 and not isinstance(error, SweepError):  # which says so itself
+            with suppress(LampoptError):
+                stopped = "interrupted" if isinstance(error, KeyboardInterrupt) else "stopped"
+                log.warning("%s: %s", stopped, state(task, asked, place))
+        raise
+
+
+def _report_if_possible(task: Task, folder: Path) -> None:
+    """What is recorded matters more than a picture of it."""
+    try:
+        _report(folder, Study.read(folder / "study.toml"), task.bank, task.plugins)
+    except Exception as error:  # noqa: BLE001  # whatever a picture or a chart fails of
+        log.warning("%s: the report is not written: %r; `lampopt report` tries again", folder, error)

@@ -29,6 +29,21 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
     PluginError
         If a measure returns something else than its values.
     """
+    values = measure_each(exemplars, measured_by, plugins)
+    index = {q.name: i for i, q in enumerate(exemplars.space)}
+    for (parameter, address), column in zip(measured_by.items(), values.T, strict=True):
+        r2 = _follows(exemplars.parameters, index[parameter], column)
+        if r2 < FOLLOWS:
+            raise InputError(
+                f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
+                f"the other parameters' share taken out; expected {FOLLOWS}): it measures something else, or the table "
+                "is wrong"
+            )
+    return values
+
+
+def measure_each(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: Plugins) -> Array:
+    """As `measure_all`, whether or not the values follow their parameters: few exemplars do not tell."""
     if not measured_by:
         return np.empty((len(exemplars), 0))
     index = {q.name: i for i, q in enumerate(exemplars.space)}
@@ -51,13 +66,6 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
         q = exemplars.space[index[parameter]]
         unit = filled(measure.units[place], exemplars.unit)
         values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
-        r2 = _follows(exemplars.parameters, index[parameter], values[:, column])
-        if r2 < FOLLOWS:
-            raise InputError(
-                f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
-                f"the other parameters' share taken out; expected {FOLLOWS}): it measures something else, or the table "
-                "is wrong"
-            )
     return values
 
 

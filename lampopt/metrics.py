@@ -1,4 +1,4 @@
-"""How generated shapes are scored, as the paper's appendix G defines it. Nothing here judges a design in the loop."""
+"""How generated shapes are scored: as the paper's appendix G defines it, and by a length. No design is judged here."""
 
 from __future__ import annotations
 
@@ -35,6 +35,29 @@ def chamfer_distance(x: Array, y: Array) -> float:
     x, y = _cloud(x, "x"), _cloud(y, "y")
     there, back = KDTree(y).query(x)[0], KDTree(x).query(y)[0]
     return float((there**2).mean() + (back**2).mean())
+
+
+def surface_distance(a: Trimesh, b: Trimesh, samples: int = 20_000, seed: int = 0) -> float:
+    """How far two surfaces are apart [mesh unit]: the larger of the two mean distances from one to the other.
+
+    Unlike `chamfer_distance` it is a length, and does not depend on how densely the surfaces are sampled.
+
+    Raises
+    ------
+    InputError
+        If one has no faces.
+    """
+    import igl
+
+    if not (len(a.faces) and len(b.faces)):
+        raise InputError(f"surface distance: expected meshes with faces, got {len(a.faces)} and {len(b.faces)}")
+
+    def directed(start: Trimesh, end: Trimesh) -> float:
+        points = sample_surface(start, samples, seed)
+        corners = np.asarray(end.vertices, float), np.asarray(end.faces, np.int64)
+        return float(np.sqrt(igl.point_mesh_squared_distance(points, *corners)[0]).mean())
+
+    return max(directed(a, b), directed(b, a))
 
 
 def iou(a: Trimesh, b: Trimesh, resolution: int = 64) -> float:

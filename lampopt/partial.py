@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -70,14 +71,17 @@ class Partial:
 
     def _begin(self, store: Path) -> None:
         self._refuse_others()  # it may have come while the lock was not yet ours
-        for left in store.parent.glob(f"{escape(store.name)}.*.writing"):  # by builds that were killed
-            left.unlink(missing_ok=True)
-        if self._planned() == self.plan:
-            log.info("resuming the build in %s", self.folder)
-            return
         try:
+            killed = (store.parent.glob(f"{escape(store.name)}.*.writing"), self.folder.glob("*.writing"))
+            for left in (file for files in killed for file in files):
+                left.unlink(missing_ok=True)
+            if self._planned() == self.plan:
+                log.info("resuming the build in %s", self.folder)
+                return
             self.clear()  # of an unknown plan
-            self._note.write_text(json.dumps({"plan": self.plan}))
+            aside = self._note.with_name(f"{self._note.name}.writing")
+            aside.write_text(json.dumps({"plan": self.plan}))
+            os.replace(aside, self._note)
         except OSError as error:
             raise BankError(f"{self.folder}: cannot be written: {error}") from error
 

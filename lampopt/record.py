@@ -10,37 +10,83 @@ written aside and renamed, the row comes last, so a run that is killed at any mo
 
 from __future__ import annotations
 
+import hashlib
 import json
+import logging
 import os
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from lampopt.database import readable, said, writable
 from lampopt.errors import InputError
-from lampopt.meshfile import FORMATS
-from lampopt.types import Bank, Check, Conflict, Design, Mix, Result
+from lampopt.meshfile import FORMATS, load_mesh
+from lampopt.types import Bank, Check, Conflict, Design, Mix, Result, Scalar
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SCHEMA = 1  # the database's user_version
-TABLE = """
-CREATE TABLE designs (
-    key TEXT PRIMARY KEY, target TEXT NOT NULL, alpha BLOB NOT NULL, residual BLOB NOT NULL, status TEXT NOT NULL,
-    message TEXT NOT NULL, conflicts TEXT NOT NULL, checks TEXT NOT NULL, accepted INTEGER NOT NULL,
-    provenance TEXT NOT NULL, mesh TEXT, seconds REAL NOT NULL
-)"""
+KEY = re.compile(r"[0-9a-f]{24}")  # of a design; nothing else is taken from a database for the name of a folder
+log = logging.getLogger("lampopt")
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """The file of a recorded design's mesh, which may be gone or no longer what was written."""
+
+    path: Path
+    digest: str | None  # of the bytes written; None in rows of schema 1
+    passport: Callable[[], str]
+
+    def read(self) -> Trimesh | None:
+        """The mesh; None if the file is gone or, which is said, not what was written."""
+        try:
+            if not self.path.exists():
+                return None
+            if self.digest is not None and _digest(self.path) != self.digest:
+                raise InputError(f"mesh {self.path}: is not what was written")
+            return load_mesh(self.path)
+        except (OSError, InputError) as error:
+            log.warning("%s; it is decoded again", error)
+            return None
+
+    def restore(self, mesh: Trimesh) -> None:
+        """Write the file and the passport beside it anew; says so where that cannot be."""
+        aside = self.path.parent.with_name(f"{self.path.parent.name}.{os.getpid()}.mesh.writing")
+        try:
+            _write_mesh(mesh, aside, self.path.suffix[1:])
+            if self.digest not in (None, _digest(aside)):
+                log.warning("%s: decodes to another mesh than was recorded, by other versions; not written", self.path)
+                return
+            self.path.parent.mkdir(exist_ok=True)
+            os.replace(aside, self.path)
+            _replace(self.path.with_name("passport.json"), self.passport())
+        except OSError as error:
+            log.warning("%s: cannot be written anew: %s", self.path, error)
+        finally:
+            with suppress(OSError):
+                aside.unlink(missing_ok=True)
+
+
+class Rebuild(Protocol):
+    """Makes a recorded design again from what its row says."""
+
+    def __call__(
+        self, target: Mapping[str, float], mix: Mix, mesh: MeshFile | None, provenance: Mapping[str, Scalar], /
+    ) -> Design:
+        """`mesh` is None where none was made."""
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """An open run folder; only one process at a time has it."""
+    """An open run folder; only one process at a time has it to write."""
 
     folder: Path
     database: sqlite3.Connection
@@ -53,7 +99,7 @@ class RunFolder:
         Raises
         ------
         InputError
-            If another process has it, it cannot be written, or its database has another schema.
+            If another process has it, it cannot be written, or its database is of a newer schema or damaged.
         """
         from filelock import FileLock, Timeout
 
@@ -71,15 +117,26 @@ class RunFolder:
                     f"{folder}: another process is running here; wait for it or name another folder"
                 ) from error
         try:
-            with closing(sqlite3.connect(folder / "runs.sqlite")) as database:
-                _prepare(database, folder / "runs.sqlite")
+            with _writing(folder):
+                _tidy(folder)
+            with writable(folder / "runs.sqlite") as database:
                 yield cls(folder, database)
-        except sqlite3.OperationalError as error:  # locked, read-only, no room: nothing is wrong with what is there
-            raise InputError(f"{folder / 'runs.sqlite'}: cannot be used: {error}") from error
-        except sqlite3.DatabaseError as error:
-            raise InputError(f"{folder / 'runs.sqlite'}: is damaged or no database: {error}") from error
         finally:
             lock.release()
+
+    @classmethod
+    @contextmanager
+    def open_to_read(cls, folder: str | Path) -> Iterator[RunFolder]:
+        """Open `folder` without its lock, and without writing to it.
+
+        Raises
+        ------
+        InputError
+            If no run is recorded there, or its database is of a newer schema or damaged.
+        """
+        folder = Path(folder)
+        with readable(folder / "runs.sqlite") as database:
+            yield cls(folder, database)
 
     def write_study(self, text: str) -> None:
         """Keep what was asked. Raises InputError if it cannot be written."""
@@ -94,93 +151,141 @@ class RunFolder:
         InputError
             If it cannot be written.
         """
-        design, folder = result.design, self.folder
+        design, folder, digest = result.design, self.folder, None
         mesh = design.__dict__.get("mesh")  # only a mesh that was made: recording decodes nothing
         if mesh is not None:
             folder = self._place(key)
-            aside = folder.with_name(folder.name + ".writing")
             with _writing(folder):
-                shutil.rmtree(aside, ignore_errors=True)
-                aside.mkdir()
-                mesh.export(aside / f"mesh.{form}")
-                _replace(aside / "passport.json", json.dumps(passport(result, bank), indent=2))
-                shutil.rmtree(folder, ignore_errors=True)
-                os.replace(aside, folder)
-        self.database.execute(
-            "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?,?)",
-            (
-                key,
-                json.dumps(dict(design.target)),
-                design.mix.alpha.tobytes(),
-                design.mix.residual.tobytes(),
-                design.mix.status,
-                design.mix.message,
-                json.dumps([[conflict.names, conflict.amounts.tolist()] for conflict in design.mix.conflicts]),
-                json.dumps([_as_row(check) for check in result.checks]),
-                int(result.accepted),
-                json.dumps(dict(result.provenance)),
-                f"mesh.{form}" if mesh is not None else None,
-                seconds,
-            ),
-        )
-        self.database.commit()
+                digest = _put(folder, mesh, form, _passport(result, bank))
+        with said(self._file), self.database:
+            self.database.execute(
+                "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?)",
+                (
+                    key,
+                    json.dumps(dict(design.target)),
+                    design.mix.alpha.tobytes(),
+                    design.mix.residual.tobytes(),
+                    design.mix.status,
+                    design.mix.message,
+                    json.dumps([[conflict.names, conflict.amounts.tolist()] for conflict in design.mix.conflicts]),
+                    json.dumps([_as_row(check) for check in result.checks]),
+                    int(result.accepted),
+                    json.dumps(dict(result.provenance)),
+                    f"mesh.{form}" if mesh is not None else None,
+                    seconds,
+                    digest,
+                ),
+            )
         return replace(result, folder=folder)
 
-    def read(self, key: str, rebuild: Callable[[Mapping[str, float], Mix, Path | None], Design]) -> Result | None:
-        """The result recorded under `key`, its design made by `rebuild` (target, mix, mesh file), or None.
+    def has(self, key: str) -> bool:
+        """Whether a result is recorded under `key`."""
+        with said(self._file):
+            return self.database.execute("SELECT 1 FROM designs WHERE key = ?", (key,)).fetchone() is not None
+
+    def read(self, key: str, bank: Bank, rebuild: Rebuild) -> Result | None:
+        """The result recorded under `key`, or None.
+
+        Its mesh is read from its file on access; one that is gone or not what was written is decoded again, and
+        written anew with its passport.
 
         Raises
         ------
         InputError
             If what is recorded there is damaged.
         """
-        row = self.database.execute(
-            "SELECT target, alpha, residual, status, message, conflicts, checks, provenance, mesh FROM designs "
-            "WHERE key = ?",
-            (key,),
-        ).fetchone()
+        with said(self._file):
+            row = self.database.execute(
+                "SELECT target, alpha, residual, status, message, conflicts, checks, provenance, mesh, digest "
+                "FROM designs WHERE key = ?",
+                (key,),
+            ).fetchone()
         if row is None:
             return None
         try:
-            return self._decoded(key, row, rebuild)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            return self._decoded(key, row, bank, rebuild)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise InputError(
-                f"{self.folder / 'runs.sqlite'}: the row of design {key} is damaged: {error}; delete that row (DELETE "
-                f"FROM designs WHERE key = '{key}') and it is made anew"
+                f"{self._file}: the row of design {key} is damaged: {error}; delete that row (DELETE FROM designs "
+                f"WHERE key = {key!r}) and it is made anew"
             ) from error
 
-    def _decoded(
-        self, key: str, row: tuple[Any, ...], rebuild: Callable[[Mapping[str, float], Mix, Path | None], Design]
-    ) -> Result:
-        target, alpha, residual, status, message, conflicts, checks, provenance, mesh = row
+    def results(self, bank: Bank, rebuild: Rebuild) -> Iterator[Result]:
+        """Every result recorded of `bank`, in the order recorded; those of another bank are counted in a warning."""
+        with said(self._file):
+            rows = self.database.execute("SELECT key, alpha, provenance FROM designs ORDER BY rowid").fetchall()
+        foreign = 0
+        for key, alpha, provenance in rows:
+            if not _of(bank, alpha, provenance):
+                foreign += 1
+                continue
+            result = self.read(key, bank, rebuild)
+            if result is not None:
+                yield result
+        if foreign:
+            log.warning("%s: %d of %d designs are of another bank and left out", self.folder, foreign, len(rows))
+
+    def _decoded(self, key: str, row: tuple[Any, ...], bank: Bank, rebuild: Rebuild) -> Result:
+        target, alpha, residual, status, message, conflicts, checks, provenance, mesh, digest = row
+        if not (isinstance(key, str) and KEY.fullmatch(key)):
+            raise ValueError(f"expected a key of 24 hexadecimal digits, got {key!r:.80}")
+        if mesh is not None and mesh not in [f"mesh.{form}" for form in FORMATS]:
+            raise ValueError(f"expected a mesh file such as mesh.{FORMATS[0]}, got {mesh!r:.80}")
         clashes = tuple(Conflict(tuple(names), np.array(amounts)) for names, amounts in json.loads(conflicts))
         mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message, clashes)
         place = self._place(key)
-        design = rebuild(json.loads(target), mix, place / mesh if mesh else None)
+        known = dict(json.loads(provenance))
+        file = None if mesh is None else MeshFile(place / mesh, digest, lambda: _passport(result, bank))
+        design = rebuild(json.loads(target), mix, file, known)
         found = tuple(_from_row(check) for check in json.loads(checks))
-        return Result(design, found, json.loads(provenance), place if mesh and place.is_dir() else self.folder)
+        result = Result(design, found, known, self.folder if mesh is None else place)
+        return result
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / "runs.sqlite"
 
     def _place(self, key: str) -> Path:
         return self.folder / "designs" / key
 
 
-def _prepare(database: sqlite3.Connection, path: Path) -> None:
-    """Make the table in a fresh database; refuse one of another schema.
+def _tidy(folder: Path) -> None:
+    """Remove what killed runs were writing."""
+    for left in (*folder.glob("*.writing"), *(folder / "designs").glob("*.writing")):
+        if left.is_dir() and left.parent != folder:
+            shutil.rmtree(left)
+        else:
+            left.unlink(missing_ok=True)
 
-    Rows are written ahead (WAL) without waiting for the disk at each, which would cost more than a design. A kill
-    loses none; a power cut may lose the last, and they are computed again.
-    """
-    (schema,) = database.execute("PRAGMA user_version").fetchone()
-    (tables,) = database.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    if not (schema or tables):
-        database.executescript(f"BEGIN; {TABLE}; PRAGMA user_version = {SCHEMA}; COMMIT")
-    elif schema != SCHEMA:
-        raise InputError(
-            f"{path}: has schema {schema}, this lampopt reads {SCHEMA}: name another folder, or use the lampopt that "
-            "wrote it"
-        )
-    database.execute("PRAGMA journal_mode = WAL")
-    database.execute("PRAGMA synchronous = NORMAL")
+
+def _put(folder: Path, mesh: Trimesh, form: str, text: str) -> str:
+    """Write a design's folder in one step; returns the hash of its mesh file."""
+    aside = folder.with_name(folder.name + ".writing")
+    try:
+        shutil.rmtree(aside, ignore_errors=True)
+        aside.mkdir()
+        file = aside / f"mesh.{form}"
+        _write_mesh(mesh, file, form)
+        digest = _digest(file)
+        (aside / "passport.json").write_text(text, encoding="utf-8")
+        shutil.rmtree(folder, ignore_errors=True)  # no row names it: left by a run that was killed
+        os.replace(aside, folder)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)  # on a full disk it would take what room there is
+    return digest
+
+
+def _of(bank: Bank, alpha: Any, provenance: Any) -> bool:
+    """Whether a row was made from `bank`; one that is damaged passes, and is named when it is read."""
+    try:
+        same = json.loads(provenance).get("bank.plan") == bank.provenance.get("plan")
+        return (same and len(alpha) == 8 * len(bank)) or len(alpha) % 8 > 0
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return True
+
+
+def _passport(result: Result, bank: Bank) -> str:
+    return json.dumps(passport(result, bank), indent=2)
 
 
 def _as_row(check: Check) -> list[Any]:
@@ -237,7 +342,7 @@ def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
         raise InputError(f"{path}: expected a file name ending in .{', .'.join(FORMATS)}")
     aside = path.with_name(path.name + ".writing")
     try:
-        mesh.export(aside, file_type=form)
+        _write_mesh(mesh, aside, form)
         os.replace(aside, path)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise InputError(f"{path}: cannot be written: {error}") from error
@@ -254,6 +359,17 @@ def _writing(place: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"{place}: cannot be written: {error}; what is recorded there is kept") from error
+
+
+def _write_mesh(mesh: Trimesh, path: Path, form: str) -> None:
+    data: Any = mesh.export(file_type=form)  # not to the path itself: trimesh leaves that open where the disk is full
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def _digest(path: Path) -> str:
+    """A hash of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def _replace(path: Path, text: str) -> None:

@@ -105,6 +105,7 @@ def pose(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     hard: Sequence[str] = (),
     reference: str | None = None,
+    among: Sequence[int] | Array | None = None,
 ) -> Posed:
     """The problem that asks `targets` of `bank`.
 
@@ -117,7 +118,9 @@ def pose(
     hard
         Targets that must be met exactly.
     reference
-        The exemplar to stay near; None: the mean of all.
+        The exemplar to stay near; None: the mean of all that take part.
+    among
+        The exemplars, by number, that may take part; None: all.
 
     Raises
     ------
@@ -130,6 +133,8 @@ def pose(
     limits = tuple(_movable(names, name) for name in ranges)
     known = [~np.isnan(c.values) for c in (*rows, *limits)]
     active = np.flatnonzero(np.all(known, axis=0) if known else np.ones(len(bank), bool))
+    if among is not None:
+        active = np.intersect1d(active, np.asarray(among, int))
     if not len(active):
         raise StudyError(f"no exemplar has all of {', '.join(c.name for c in (*rows, *limits))}")
     for low, high in ranges.values():

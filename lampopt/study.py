@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,11 +16,15 @@ from typing import Any
 from lampopt.errors import InputError, StudyError
 from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
+from lampopt.reading import brief, content
 from lampopt.solve import column
 from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
 from lampopt.units import number, said
 
 Value = float | str
+LARGEST = 2**18  # bytes of a study
+# A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
+LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
 
 
 @dataclass(frozen=True)
@@ -29,10 +35,14 @@ class Reduce:
     by: float
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.by, int | float) and -10 < self.by < 1):
+        if not isinstance(self.name, str):
+            raise StudyError(f"Reduce: expected the name of a label, got {said(self.name)}")
+        by = _native(self.by)
+        if isinstance(by, bool) or not isinstance(by, int | float) or not -10 < by < 1:
             raise StudyError(
                 f"Reduce({self.name!r}): expected `by` as a fraction below 1, such as 0.10, got {said(self.by)}"
             )
+        object.__setattr__(self, "by", float(by))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +114,18 @@ class Study:
             raise StudyError(f"objective: expected Reduce(name, by=fraction), got {said(self.objective)}")
         for name in ("keep", "hard", "measures", "checks", "requires"):
             _assign(self, name, _names(getattr(self, name), name))
+        if not isinstance(self.reference, str | None):
+            raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
         for name in ("targets", "limits"):
-            _assign(self, name, _table(getattr(self, name), name))
+            table = {key: _native(value) for key, value in _table(getattr(self, name), name).items()}
+            _assign(self, name, MappingProxyType(table))
+        for key, target in self.targets.items():
+            if not _is_value(target):
+                raise StudyError(
+                    f"targets: {key}: expected a finite number or text such as '1420 mm', got {said(target)}"
+                )
+        for name in ("resolution", "seed"):
+            _assign(self, name, _native(getattr(self, name)))
         for name in ("ranges", "sweep"):
             value = {key: _values(v, f"{name}: {key}") for key, v in _table(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(value))
@@ -129,13 +149,13 @@ class Study:
             if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit <= sys.float_info.max:
                 raise StudyError(f"limits: {key}: expected a finite number of at least 0, got {said(limit)}")
         asked = [*self.targets, *self.keep, *([self.objective.name] if self.objective else [])]
-        for name in asked:
-            if asked.count(name) > 1 or name in self.ranges:
+        for name, times in Counter(asked).items():
+            if times > 1 or name in self.ranges:
                 raise StudyError(f"{name!r} is asked for twice: name it in one of targets, keep, ranges and objective")
         if self.objective is not None and self.reference is None:
             raise StudyError(f"objective: {self.objective} needs a reference; name an exemplar")
         if unknown := sorted(set(self.hard) - set(asked)):
-            raise StudyError(f"hard: {unknown} are not asked for; asked for are {asked}")
+            raise StudyError(f"hard: {brief(unknown)} are not asked for; asked for are {brief(asked)}")
 
     def opened(self) -> Bank:
         """The bank, loaded if the study names a file."""
@@ -202,13 +222,19 @@ class Study:
         StudyError
             If the text is no TOML, or says what no study has.
         """
+        if not isinstance(text, str):
+            raise StudyError(f"study: expected TOML text, got {said(text)}")
+        if LONG_KEY.search(text):
+            raise StudyError("study: expected keys of a few parts, got one of 16 or more")
         try:
             document = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise StudyError(f"study: not valid TOML: {error}") from error
+        except (ValueError, RecursionError, MemoryError) as error:
+            raise StudyError(f"study: not valid TOML: {brief(error) or 'it nests too deep'}") from error
         known = {item.name for item in fields(cls)}
         if unknown := sorted(set(document) - known):
-            raise StudyError(f"study: unknown entries {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+            raise StudyError(
+                f"study: unknown entries {brief(', '.join(unknown))}; known are {', '.join(sorted(known))}"
+            )
         if not isinstance(document.get("bank"), str):
             raise StudyError("study: expected an entry `bank` with the path of a .lamp file")
         document["bank"] = (folder or Path()) / document["bank"]
@@ -220,13 +246,21 @@ class Study:
 
     @classmethod
     def read(cls, path: str | Path) -> Study:
-        """The study in a TOML file; a relative bank path is taken from beside it."""
-        path = Path(path)
+        """The study in a TOML file; a relative bank path is taken from beside it.
+
+        Raises
+        ------
+        StudyError
+            Naming the file and the entry, if it cannot be read or says what no study has.
+        """
         try:
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, ValueError) as error:
-            raise StudyError(f"{path}: cannot be read as a study: {error}") from error
-        return cls.from_toml(text, folder=path.parent)
+            text = content(path, largest=LARGEST).decode("utf-8-sig")
+        except (InputError, ValueError) as error:
+            raise StudyError(f"{brief(path)}: cannot be read as a study: {brief(error)}") from error
+        try:
+            return cls.from_toml(text, folder=Path(path).parent)
+        except InputError as error:
+            raise StudyError(f"{brief(path)}: {error}") from error
 
 
 def _assign(study: Study, name: str, value: object) -> None:
@@ -236,7 +270,7 @@ def _assign(study: Study, name: str, value: object) -> None:
 def _names(value: object, what: str) -> tuple[str, ...]:
     if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
         raise StudyError(f"{what}: expected a list of names, got {said(value)}")
-    if twice := sorted({v for v in value if value.count(v) > 1}):
+    if twice := sorted(v for v, times in Counter(value).items() if times > 1):
         raise StudyError(f"{what}: {', '.join(twice)} twice; name each once")
     return tuple(value)
 
@@ -253,15 +287,21 @@ def _values(value: object, what: str) -> tuple[Value, ...]:
     found = tuple(v if isinstance(v, str) else _native(v) for v in value)
     if not found:
         raise StudyError(f"{what}: expected a list of values, got none")
-    if wrong := [v for v in found if isinstance(v, bool) or not isinstance(v, str | int | float)]:
+    if wrong := [v for v in found if not _is_value(v)]:
         raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {said(wrong[0])}")
     return found
+
+
+def _is_value(value: object) -> bool:
+    return isinstance(value, str | int | float) and not isinstance(value, bool)
 
 
 def _native(value: object) -> Any:
     """Numpy's numbers as Python's; everything else as it is."""
     if isinstance(value, bool | int | float):
         return value
+    if isinstance(value, Integral):
+        return int(value)
     return float(value) if isinstance(value, Real) else value
 
 

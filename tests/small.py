@@ -122,6 +122,17 @@ def same(one, other):
         and all(_equal(one.shared[name], other.shared[name]) for name in one.shared)
         and (one.frame.scale, one.frame.unit) == (other.frame.scale, other.frame.unit)
         and _equal(one.frame.centre, other.frame.centre)
+        and _same_evidence(one.calibration, other.calibration)
+    )
+
+
+def _same_evidence(one, other):
+    if one is None or other is None:
+        return one is other
+    arrays = ("values", "errors", "exemplars")
+    plain = ("tolerance", "checks")
+    return all(getattr(one, name) == getattr(other, name) for name in plain) and all(
+        _equal(getattr(one, name), getattr(other, name)) for name in arrays
     )
 
 

@@ -178,7 +178,7 @@ def test_a_decoder_that_names_the_exemplar_is_left_to_speak():
 def test_an_exemplar_without_a_surface_is_named(spoil):
     meshes = [*small.boxes().meshes]
     spoil(meshes[3])
-    with pytest.raises(FitError, match="exemplar 'box_3': expected a mesh with faces and finite vertices"):
+    with pytest.raises(InputError, match="exemplar 'box_3': expected a mesh with faces and finite vertices"):
         small.bank(small.boxes(meshes=meshes))
     assert small.CALLS["fit"] == 0
 
@@ -590,7 +590,7 @@ def test_a_loader_that_fails_is_heard():
 def test_what_is_no_mesh_is_named():
     meshes = [*small.boxes().meshes]
     meshes[2] = "car.stl"
-    with pytest.raises(FitError, match=r"exemplar 'box_2': expected a trimesh.Trimesh, got 'car.stl'"):
+    with pytest.raises(InputError, match=r"exemplar 'box_2': expected a trimesh.Trimesh, got 'car.stl'"):
         small.bank(small.boxes(meshes=meshes))
 
 

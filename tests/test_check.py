@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lampopt import Exemplars, Spec, build_bank, design, hookimpl
 from lampopt.check import (
@@ -28,7 +30,10 @@ from lampopt.mix import mixed_weights
 from lampopt.plugins import Plugins
 from lampopt.solve import pose
 from lampopt.testing import shapes
-from lampopt.types import Bank, Check, Design, Frame, Mix, Parameter
+from lampopt.types import Bank, Check, Design, Frame, Mix, Parameter, Result
+
+sys.path[:0] = [p for p in (str(Path(__file__).parent),) if p not in sys.path]
+import small  # noqa: E402
 
 TUTORIAL = str(Path(__file__).parent.parent / "examples" / "third_party_decoder")
 sys.path[:0] = [TUTORIAL] if TUTORIAL not in sys.path else []
@@ -628,3 +633,36 @@ def test_a_measure_that_answers_garbage_is_named(answer):
 
     with pytest.raises(PluginError, match="garbage"):
         values_of("garbage", Garbage(), shapes.box([1, 1, 1]))
+
+
+anything = st.floats() | st.sampled_from([0.0, -0.0, 1.0, np.nextafter(1, 2), 5e-324])
+
+
+@settings(deadline=None)
+@given(st.sampled_from(["<=", ">=", "="]), anything, st.floats(allow_nan=False) | st.sampled_from([0.0, 1.0]))
+def test_a_score_of_at_most_one_is_a_check_that_passes(sense, value, limit):
+    check = Check("a", value, sense, limit, "", "alpha")
+    assert (check.score <= 1) == check.passed
+    assert check.score >= 0
+
+
+def test_scores_in_closed_form():
+    def score(value, sense, limit):
+        return Check("a", value, sense, limit, "", "alpha").score
+
+    assert score(0.5, "<=", 2.0) == 0.25
+    assert score(3.0, "<=", 2.0) == 1.5
+    assert score(3.0, ">=", 1.5) == 0.5
+    assert score(1.0, ">=", 1.5) == 1.5
+    assert (score(1.0, "=", 1.0), score(0.0, "=", 1.0)) == (0.0, np.inf)
+    assert (score(0.0, "<=", 0.0), score(1e-9, "<=", 0.0)) == (0.0, np.inf)
+    assert score(np.nan, "<=", 2.0) == np.inf
+    assert score(7.0, "info", None) == 0.0
+
+
+def test_a_result_is_as_bad_as_its_worst_check():
+    result = design(small.bank(), {"length": 2.3}, plugins=small.plugins())
+    assert result.score == max(check.score for check in result.checks)
+    worse = Result(result.design, (*result.checks, Check("own", 3.0, "<=", 1.0, "", "mesh")))
+    assert (worse.score, worse.accepted) == (3.0, False)
+    assert Result(result.design, ()).score == 0.0

@@ -68,6 +68,13 @@ def test_own_measure(tmp_path):
     assert 0 < float(said["stance.fill"]) < 1
 
 
+def test_morph(tmp_path):
+    said = run("04_morph.py", tmp_path, "out")
+    assert "roof_high    4.200 m long, 1.410 m high" in said
+    assert "drift.length" in said
+    assert trimesh.load_mesh(tmp_path / "out" / "new.stl").extents[2] == pytest.approx(1.26 + 0.08, abs=0.03)
+
+
 def test_every_example_is_tested():
     tests = Path(__file__).read_text(encoding="utf-8")
     scripts = {path.name for path in EXAMPLES.glob("*.py")} - {"picture.py"}  # imported by demo.py

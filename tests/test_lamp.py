@@ -15,17 +15,18 @@ from hypothesis.extra import numpy as hnp
 
 from lampopt import lamp, load_bank, store_bank
 from lampopt.errors import BankError, InputError
-from lampopt.types import Bank, Frame, Parameter, Spec
+from lampopt.types import Bank, Calibration, Frame, Parameter, Spec
 
 HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
 import small  # noqa: E402
 
 SCHEMA_1 = HERE / "data" / "bank_schema1.lamp"
+SCHEMA_2 = HERE / "data" / "bank_schema2.lamp"
 
 
 def tiny(**changes):
-    """A bank that says something in every field; `tests/data/bank_schema1.lamp` is this one, stored."""
+    """A bank that says something in every field; `tests/data/bank_schema2.lamp` is this one, stored."""
     fields = {
         "space": (Parameter("länge", "mm", 1.0, 3.0), Parameter("count", "", 0.1, 0.1)),
         "parameters": [[1.0, 0.1], [3.0, 0.1]],
@@ -43,6 +44,7 @@ def tiny(**changes):
         "measured": [[1.0, 7.0], [3.0, 8.0]],
         "mesh_facts": {"bodies": 1, "genus": 2},
         "limits": {"alpha": 2.5},
+        "calibration": Calibration(0.25, ("alpha", "mismatch"), [[1.0, np.nan], [0.5, 2.0]], [np.nan, 0.125], [0, 1]),
         "provenance": {"seed": 7, "lampopt": "0.1.0", "exact": True, "time": 0.5},
     }
     return Bank(**{**fields, **changes})
@@ -116,6 +118,17 @@ def test_every_field_comes_back_whatever_it_holds(tmp_path_factory, data):
         measured_by={"x": data.draw(text)},
         measured=data.draw(array(np.float64, n, 1)),
         limits=data.draw(st.dictionaries(text, number, max_size=3)),
+        calibration=data.draw(
+            st.none()
+            | st.builds(
+                Calibration,
+                st.floats(1e-9, 1e9),
+                st.just(("a",)),
+                array(np.float64, 2, 1),
+                array(np.float64, 2),
+                st.just([0, n - 1]),
+            )
+        ),
         provenance=data.draw(st.dictionaries(text, scalar, max_size=3)),
     )
     assert small.same(bank, store_bank(bank, path))
@@ -329,9 +342,10 @@ def test_what_is_no_file_is_refused(tmp_path):
         load_bank(tmp_path)
 
 
-def test_a_file_of_schema_1_is_still_read():
-    bank = load_bank(SCHEMA_1)
-    assert small.same(bank, tiny())
+@pytest.mark.parametrize(("path", "changes"), [(SCHEMA_1, {"calibration": None}), (SCHEMA_2, {})])
+def test_files_of_every_schema_are_still_read(path, changes):
+    bank = load_bank(path)
+    assert small.same(bank, tiny(**changes))
     assert bank.space[0] == Parameter("länge", "mm", 1.0, 3.0)
     assert bank.weights[1].tolist() == pytest.approx([0.0, 1e-7, 3.0])
     assert bank.frame.centre.tolist() == [1.0, -2.0, 1e6]

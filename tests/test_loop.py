@@ -1,5 +1,6 @@
 """The stages chained: designs in memory and in a folder, killed and begun again, grown, in the user's units."""
 
+import hashlib
 import json
 import logging
 import os
@@ -50,11 +51,11 @@ def fresh():
 
 
 def run(study, folder=None, *extra):
-    return lampopt.run(study, folder, plugins=small.plugins(*extra))
+    return lampopt.run(study, folder, report=False, plugins=small.plugins(*extra))
 
 
 def sweep(study, grid=None, folder=None, *extra, **options):
-    return lampopt.sweep(study, grid, folder, plugins=small.plugins(*extra), **options)
+    return lampopt.sweep(study, grid, folder, report=False, plugins=small.plugins(*extra), **options)
 
 
 def table(folder, columns="*"):
@@ -62,9 +63,8 @@ def table(folder, columns="*"):
         return sorted(database.execute(f"SELECT {columns} FROM designs").fetchall())
 
 
-EVERYTHING = (
-    "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh"  # but the time
-)
+# all but the time
+EVERYTHING = "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh, digest"
 
 
 # in memory
@@ -205,6 +205,10 @@ def test_a_sweep_of_the_study_itself_or_of_tables(bank):
         ({"length": "2.1"}, "sweep: length: expected a list of values, got '2.1'"),
         ({"length": 2.1}, "sweep: length: expected a list of values, got 2.1"),
         ({"roof": [1]}, "'roof': neither a parameter"),
+        ("length", r"sweep: expected values by name, such as .*, or a list of tables .*, got 'length'"),
+        (2.1, "sweep: expected values by name, .*, got 2.1"),
+        ([2.1, 2.2], "sweep: expected values by name, .*, got a list with 2.1"),
+        ([{"length": 2.1}, "width"], "sweep: expected values by name, .*, got a list with 'width'"),
         ({"length": [2.1, "long"]}, "length: expected a number or text"),
         ({"width": [1.1]}, "'width' is asked for twice"),
         ([{"length": 2.1}, {"roof": 1}], "'roof': neither a parameter"),
@@ -389,7 +393,7 @@ def test_what_is_read_back_is_not_solved_again(bank, tmp_path):
 
 def test_provenance_is_read_once_a_sweep(bank, monkeypatch):
     asked = []
-    monkeypatch.setattr("lampopt.loop.version", lambda name: asked.append(name) or "1")
+    monkeypatch.setattr("lampopt.task.version", lambda name: asked.append(name) or "1")
     results = list(sweep(Study(bank, level="alpha"), GRID))
     assert len(asked) == 1
     assert {r.provenance["lampopt"] for r in results} == {"1"}
@@ -514,7 +518,7 @@ def test_what_a_run_leaves(bank, tmp_path):
     assert sorted(p.name for p in result.folder.iterdir()) == ["mesh.stl", "passport.json"]
     assert result.folder.parent == folder / "designs"
 
-    ((key, target, alpha, residual, status, _, _, checks, accepted, provenance, mesh, seconds),) = table(folder)
+    ((key, target, alpha, residual, status, _, _, checks, accepted, provenance, mesh, seconds, digest),) = table(folder)
     assert key == result.folder.name
     assert json.loads(target) == TARGET
     assert np.array_equal(np.frombuffer(alpha), result.design.mix.alpha)
@@ -523,6 +527,7 @@ def test_what_a_run_leaves(bank, tmp_path):
     assert [check[0] for check in json.loads(checks)] == [check.name for check in result.checks]
     assert json.loads(provenance) == dict(result.provenance)
     assert 0 < seconds < 60
+    assert digest == hashlib.blake2b((result.folder / "mesh.stl").read_bytes(), digest_size=16).hexdigest()
 
     passport = json.loads((result.folder / "passport.json").read_text(encoding="utf-8"))
     assert passport["accepted"] is True
@@ -628,7 +633,7 @@ def test_a_mesh_that_was_lost_is_made_again(bank, tmp_path, lost, caplog):
     else:
         file.write_bytes(file.read_bytes()[:500] if lost == "half" else b"")
     again = run(Study(bank, targets=TARGET), tmp_path)
-    assert again.folder == (tmp_path if lost == "folder" else first.folder)
+    assert again.folder == first.folder
     assert again.checks == first.checks
     assert again.design.mesh.extents == pytest.approx(first.design.mesh.extents)
     assert small.CALLS["decode"] == 2
@@ -659,11 +664,11 @@ def older_schema(database):
 def test_a_database_of_another_schema_is_refused(bank, tmp_path, change, number):
     run(Study(bank, targets=TARGET), tmp_path)
     with closing(sqlite3.connect(tmp_path / "runs.sqlite")) as database:
-        assert database.execute("PRAGMA user_version").fetchone() == (1,)
+        assert database.execute("PRAGMA user_version").fetchone() == (2,)
         change(database)
         database.commit()
     before = (tmp_path / "runs.sqlite").read_bytes()
-    with pytest.raises(InputError, match=rf"runs\.sqlite: has schema {number}, this lampopt reads 1"):
+    with pytest.raises(InputError, match=rf"runs\.sqlite: has schema {number}, this lampopt reads 1 to 2"):
         run(Study(bank, targets=TARGET), tmp_path)
     assert (tmp_path / "runs.sqlite").read_bytes() == before
 
@@ -851,7 +856,7 @@ import sys
 sys.path.insert(0, {here!r})
 import lampopt, small
 study = lampopt.Study({bank!r})
-for result in lampopt.sweep(study, {grid!r}, {folder!r}, plugins=small.plugins()):
+for result in lampopt.sweep(study, {grid!r}, {folder!r}, report=False, plugins=small.plugins()):
     print(result.folder.name, flush=True)
 """
 
@@ -957,7 +962,7 @@ def test_a_locked_database_is_not_damaged(bank, tmp_path, monkeypatch):
     def locked(*_):
         raise sqlite3.OperationalError("database is locked")
 
-    monkeypatch.setattr("lampopt.record._prepare", locked)
+    monkeypatch.setattr("lampopt.database._schema", locked)
     with pytest.raises(InputError, match=r"runs\.sqlite: cannot be used: database is locked"):
         run(Study(bank, targets=TARGET), tmp_path)
 
@@ -1007,6 +1012,83 @@ def test_solvers_that_do_not_do(bank):
     # one who gives up where there is nothing to miss is not accepted either
     result = run(Study(bank, solver="failed", level="alpha"), None, broken)
     assert [check.name for check in result.checks if not check.passed] == ["solved"]
+
+
+@dataclass(frozen=True)
+class Shrinks(toys.Size):
+    """Measure that works on the very mesh it was given."""
+
+    def __call__(self, mesh):
+        values = super().__call__(mesh)
+        mesh.apply_scale(0.9)
+        return values
+
+
+@dataclass(frozen=True)
+class Nudges(toys.Nothing):
+    """Check that moves one vertex in place."""
+
+    needs = "mesh"
+
+    def __call__(self, bank, design):
+        design.mesh.vertices[0] += 1e-9
+        return ()
+
+
+class Spoiling:
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"shrinks": Shrinks}
+
+    @lampopt.hookimpl
+    def lampopt_checks(self):
+        return {"nudges": Nudges}
+
+
+@pytest.mark.parametrize(
+    ("asked", "who"), [({"measures": ("shrinks",)}, "measure 'shrinks'"), ({"checks": ("nudges",)}, "check 'nudges'")]
+)
+def test_a_plugin_that_alters_the_mesh_is_named(bank, tmp_path, asked, who):
+    with pytest.raises(PluginError, match=f"^{who} altered the mesh that it was given"):
+        run(Study(bank, targets=TARGET, **asked), tmp_path, ("careless", Spoiling()))
+    assert table(tmp_path) == []
+
+
+@dataclass(frozen=True)
+class Says:
+    """Checker of level alpha that answers `what`."""
+
+    what: object = None
+    needs = "alpha"
+
+    def __call__(self, bank, design):
+        return self.what
+
+
+@pytest.mark.parametrize("answer", [None, 5, "fine", ["fine"], [None], {"a": 1}], ids=str)
+def test_what_is_no_list_of_checks_is_named(bank, answer):
+    class Plugin:
+        @lampopt.hookimpl
+        def lampopt_checks(self):
+            return {"says": type("Answers", (Says,), {"__call__": lambda *_: answer})}
+
+    with pytest.raises(PluginError, match=r"^check 'says': expected a list of lampopt\.Check, got "):
+        run(Study(bank, targets=TARGET, level="alpha", checks=("says",)), None, ("says", Plugin()))
+
+
+@pytest.mark.parametrize("answer", [None, 5, ["fine"]], ids=str)
+def test_design_checks_that_are_none_are_named(bank, monkeypatch, answer):
+    monkeypatch.setattr(small.Stretch, "design_checks", lambda *_: answer, raising=False)
+    with pytest.raises(
+        PluginError, match=r"^decoder 'stretch': design_checks: expected a list of lampopt\.Check, got "
+    ):
+        run(Study(bank, targets=TARGET))
+
+
+def test_a_measured_parameter_that_alters_the_mesh_is_named(bank):
+    spoilt = replace(bank, measured_by={"length": "shrinks.length", "width": "extents.width"})
+    with pytest.raises(PluginError, match=r"one of shrinks\.length, extents\.width, or the decoder, altered the mesh"):
+        run(Study(spoilt, targets=TARGET), None, ("careless", Spoiling()))
 
 
 def test_problems_are_said_once_and_nothing_else_is(bank, caplog, monkeypatch):

@@ -1,6 +1,5 @@
-"""Decoder `gridsdf`: the weights are signed distances at the nodes of a grid.
-
-Exactly linear in them: every mix has mismatch 0, which alone does not make a shape good."""
+"""Decoder `gridsdf`: the weights are signed distances at the nodes of a grid. Exactly linear in them: every mix has
+mismatch 0, which alone does not make a shape good."""
 
 from dataclasses import dataclass
 
@@ -22,13 +21,14 @@ class GridSDF:
         return np.array([[-1.0] * 3, [1.0] * 3])
 
     def prepare(self, meshes, *, mean, seed):
+        if not 2 <= self.size <= 512:
+            raise InputError(f"size: expected 2 to 512 nodes along a side, got {self.size}")
         return {}  # nothing is learned, so nothing is shared
 
     def fit(self, shared, meshes, *, seed, progress=None):
         import igl
 
-        axis = np.linspace(-1, 1, self.size)
-        nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        nodes = np.stack(np.meshgrid(*[np.linspace(-1, 1, self.size)] * 3, indexing="ij"), -1).reshape(-1, 3)
         weights, error = np.empty((len(meshes), len(nodes)), np.float32), np.zeros(len(meshes))
         for i, mesh in enumerate(meshes):
             if len(mesh.faces) == 0:
@@ -44,8 +44,8 @@ class GridSDF:
 
         if weights.shape[-1] != self.size**3:
             raise InputError(f"weights: expected {self.size**3} (size {self.size}), got {weights.shape[-1]}")
-        grid = np.moveaxis(weights.reshape(-1, *[self.size] * 3), 0, -1)
-        field = RegularGridInterpolator([np.linspace(-1, 1, self.size)] * 3, grid, bounds_error=False, fill_value=None)
+        axes, grid = [np.linspace(-1, 1, self.size)] * 3, np.moveaxis(weights.reshape(-1, *[self.size] * 3), 0, -1)
+        field = RegularGridInterpolator(axes, grid, bounds_error=False, fill_value=None)
         return field(points).T.reshape(*weights.shape[:-1], len(points), 1)
 
     def decode(self, shared, weights, *, resolution):

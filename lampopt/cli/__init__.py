@@ -16,8 +16,11 @@ import click
 from lampopt.cli.answer import CRASHED, INTERRUPTED, VERBOSE, WRONG, Group, logged_to_stderr, refuse
 from lampopt.cli.bank import bank
 from lampopt.cli.designs import make, run, sweep
+from lampopt.cli.intake import intake, wrap
 from lampopt.cli.measure import measure
 from lampopt.cli.plugins import check_plugin, plugins, sources
+from lampopt.cli.report import report
+from lampopt.cli.trust import calibrate, volume
 
 __all__ = ["cli", "main"]
 
@@ -31,8 +34,11 @@ def cli() -> None:
     """Parameter-controlled shapes from a few dozen exemplars: build a bank, ask it for designs, see the evidence."""
 
 
-for command in (plugins, sources, bank, measure, make, run, sweep, check_plugin):
+for command in (plugins, sources, bank, intake, wrap, measure, make, run, sweep, report, check_plugin):
     cli.add_command(command)
+
+for command in (calibrate, volume):
+    bank.add_command(command)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,7 +1,8 @@
-"""`lampopt bank build`, `bank info`: exemplars into a bank, and what is in one."""
+"""`lampopt bank build`, `add`, `remove`, `info`: exemplars into a bank and out of it, and what is in one."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,34 @@ from lampopt.cli.options import can_be_written, pairs, spec
 from lampopt.cli.show import number, span, table
 from lampopt.exemplars import exemplars
 from lampopt.lamp import load_bank
+from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
 from lampopt.types import Bank
 
+_file = click.argument("file", metavar="BANK", type=click.Path(dir_okay=False, path_type=Path))
+_source = click.option(
+    "--source", required=True, metavar="NAME", help="Where exemplars come from; see `lampopt sources`."
+)
+_settings = click.option(
+    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="An option of the source; repeatable."
+)
+_accept = click.option(
+    "--accept", multiple=True, metavar="NAME", help="An exemplar that is meant as it is, or all; repeatable."
+)
+_out = click.option(
+    "--out", required=True, metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="The .lamp file."
+)
+
 
 @click.group(cls=Group)
 def bank() -> None:
-    """Build a bank from exemplars, or see what is in one."""
+    """Build a bank from exemplars, change it, or see what is in one."""
 
 
 @bank.command(resumes="the same command goes on where it stopped")
-@click.option("--source", required=True, metavar="NAME", help="Where exemplars come from; see `lampopt sources`.")
-@click.option("--set", "settings", multiple=True, metavar="OPTION=VALUE", help="An option of the source; repeatable.")
+@_source
+@_settings
 @click.option("--decoder", default="sdf-mlp", show_default=True, metavar="NAME", help="What fits them.")
 @click.option(
     "--decoder-set", "decoder_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the decoder."
@@ -39,9 +55,8 @@ def bank() -> None:
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Same seed, same bank.")
 @click.option("--batch", type=click.IntRange(1), default=8, show_default=True, help="Exemplars fitted together.")
-@click.option(
-    "--out", required=True, metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), help="The .lamp file."
-)
+@_accept
+@_out
 def build(
     source: str,
     settings: tuple[str, ...],
@@ -50,6 +65,7 @@ def build(
     measured: tuple[str, ...],
     seed: int,
     batch: int,
+    accept: tuple[str, ...],
     out: Path,
 ) -> Answer:
     """Build a bank from the exemplars of a source.
@@ -74,20 +90,66 @@ def build(
             store=out,
             measured=pairs("--measured", measured),
             batch=batch,
+            accept=_named(accept),
             progress=progress,
             plugins=plugins,
         )
     return _described(made)
 
 
+@bank.command(resumes="the same command goes on where it stopped")
+@_file
+@_source
+@_settings
+@_accept
+@_out
+def add(file: Path, source: str, settings: tuple[str, ...], accept: tuple[str, ...], out: Path) -> Answer:
+    """Add the exemplars of a source to a bank.
+
+    Only they are fitted, from the bank's own start; those that are there keep their weights. The bank is written to a
+    new file.
+
+    \b
+        lampopt bank add cars.lamp --source table --set table=more.csv --set meshes=stl --out more.lamp
+    """
+    can_be_written("--out", out)
+    plugins = Plugins.load().report()
+    before = load_bank(file)
+    found = exemplars(spec(plugins, "source", source, "--set", settings), plugins=plugins)
+    with progress_bar(f"building {out}") as progress:
+        made = add_exemplars(before, found, store=out, accept=_named(accept), progress=progress, plugins=plugins)
+    return _described(made)
+
+
 @bank.command()
-@click.argument("file", metavar="BANK", type=click.Path(dir_okay=False, path_type=Path))
+@_file
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@_out
+def remove(file: Path, names: tuple[str, ...], out: Path) -> Answer:
+    """Take exemplars from a bank.
+
+    Nothing is fitted; those that stay keep their weights. The bank is written to a new file.
+
+    \b
+        lampopt bank remove cars.lamp car_007 car_012 --out fewer.lamp
+    """
+    can_be_written("--out", out)
+    return _described(remove_exemplars(load_bank(file), names, store=out))
+
+
+@bank.command()
+@_file
 def info(file: Path) -> Answer:
     """Show what is in a bank.
 
     Parameters with their ranges and units, labels, the decoder, fit errors in the bank's unit, where it comes from.
     """
     return _described(load_bank(file))
+
+
+def _named(accept: tuple[str, ...]) -> Iterable[str]:
+    """The names behind --accept; `all` alone stands for everybody."""
+    return "all" if accept == ("all",) else accept
 
 
 def _described(bank: Bank) -> Answer:

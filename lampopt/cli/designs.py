@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +24,7 @@ from lampopt.record import export_mesh, passport
 from lampopt.solve import column
 from lampopt.study import Study, Value
 from lampopt.types import LEVELS, Bank, Check, Needs, Result
+from lampopt.workers import processes
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -34,6 +37,7 @@ _folder = click.option(
     type=click.Path(file_okay=False, path_type=Path),
     help="Where results are recorded; by default runs/NAME beside the study file NAME.toml.",
 )
+_report = click.option("--report/--no-report", default=True, help="Whether to write report.html when all is done.")
 
 
 @click.command(cls=Command)
@@ -122,7 +126,8 @@ def make(
 @click.command(cls=Command, resumes=RESUMES)
 @_study
 @_folder
-def run(study_file: Path, folder: Path | None) -> Answer:
+@_report
+def run(study_file: Path, folder: Path | None, report: bool) -> Answer:
     """Make the one design that a study file asks for.
 
     It is recorded in a folder; a design that is recorded there already is read back, not computed again.
@@ -130,7 +135,7 @@ def run(study_file: Path, folder: Path | None) -> Answer:
     plugins = Plugins.load().report()
     study, opened, folder = _opened(study_file, folder)
     with progress_bar(f"running {study_file.name}"):
-        result = run_study(study, folder, plugins=plugins)
+        result = run_study(study, folder, report=report, plugins=plugins)
     document = {"folder": str(folder), **passport(result, opened)}
     shown = [*_shown(result, opened), f"recorded in {folder}"]
     return Answer(document, shown, DONE if result.accepted else REJECTED)
@@ -146,7 +151,9 @@ def run(study_file: Path, folder: Path | None) -> Answer:
     metavar="NAME=VALUE,VALUE,...",
     help="Values of NAME, instead of the study's [sweep]; with several names every combination is made.",
 )
-def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...]) -> Answer:
+@click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that make designs.")
+@_report
+def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...], workers: int, report: bool) -> Answer:
     """Make a design for every combination of values.
 
     The values are those of the study file's [sweep], or those behind --set. Results are recorded in a folder. Exits 0
@@ -164,12 +171,16 @@ def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...]) -> Answe
         raise StudyError(f"{study_file}: has no [sweep] table: add one, or name values as in --set roof=1.30,1.36")
     designs: list[dict[str, Any]] = []
     rows: list[list[Any]] = []
-    with progress_bar(f"sweeping {study_file.name}") as progress:
-        for number, result in enumerate(sweep_study(study, values, folder, progress=progress, plugins=plugins), 1):
-            failed = next((check for check in result.checks if not check.passed), None)
-            designs.append(_summary(result, opened, failed))
-            asked = [show.number(value) for value in result.design.target.values()]
-            rows.append([number, *asked, show.verdict(result.accepted), _why(failed)])
+    with progress_bar(f"sweeping {study_file.name}") as progress, _workers(workers) as executor:
+        made = sweep_study(study, values, folder, executor=executor, report=report, progress=progress, plugins=plugins)
+        try:
+            for number, result in enumerate(made, 1):
+                failed = next((check for check in result.checks if not check.passed), None)
+                designs.append(_summary(result, opened, failed))
+                asked = [show.number(value) for value in result.design.target.values()]
+                rows.append([number, *asked, show.verdict(result.accepted), _why(failed)])
+        except KeyboardInterrupt as stop:
+            made.throw(stop)  # it says how much is done, if it has not already
     accepted = sum(design["accepted"] for design in designs)
     rejected = len(designs) - accepted
     document = {"folder": str(folder), "accepted": accepted, "rejected": rejected, "designs": designs}
@@ -182,6 +193,11 @@ def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...]) -> Answe
     counted = f"{accepted} of {len(designs)} designs are accepted; all are recorded in {folder}"
     shown = show.table(str(study_file), columns, rows, right=columns[:-2])
     return Answer(document, [shown, counted], REJECTED if rejected else DONE)
+
+
+def _workers(count: int) -> AbstractContextManager[Executor | None]:
+    """So many processes; none but this one where one is enough."""
+    return nullcontext() if count == 1 else processes(count)
 
 
 def _opened(study_file: Path, folder: Path | None) -> tuple[Study, Bank, Path]:

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from lampopt.errors import InputError
 from lampopt.plugins import Plugins, known_options
+from lampopt.reading import brief, why
 from lampopt.types import Scalar, Spec
 
 T = TypeVar("T")
@@ -59,12 +60,14 @@ def spec(plugins: Plugins, kind: str, name: str, option: str, given: Sequence[st
 
 def can_be_written(option: str, path: Path) -> None:
     """Raise InputError, before long work, where no file can be put at `path`."""
-    folder = next(place for place in path.absolute().parents if place.exists())
+    folder = path.parent
     try:
+        folder = next(place for place in path.absolute().parents if place.exists())
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        raise InputError(f"{option} {path}: no file can be written in {folder}: {error.strerror}") from error
+        path.exists()  # a name that is too long is told here
+    except (OSError, ValueError) as error:
+        raise InputError(f"{option} {brief(path)}: no file can be written in {brief(folder)}: {why(error)}") from error
 
 
 def _typed(what: str, text: str, declared: str) -> Scalar:
@@ -82,4 +85,4 @@ def _read(to: Callable[[str], T], expected: str, what: str, text: str) -> T:
     try:
         return to(text)
     except (ValueError, KeyError) as error:
-        raise InputError(f"{what}: expected {expected}, got {text!r}") from error
+        raise InputError(f"{what}: expected {expected}, got {brief(repr(text))}") from error

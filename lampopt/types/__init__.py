@@ -5,6 +5,7 @@ Letters (docs/notation.md): N exemplars, d parameters, p labels, D weights, k ro
 
 from lampopt.types.arrays import Array, frozen_array
 from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
+from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
 from lampopt.types.problem import Conflict, Mix, MixBatch, Problem, Status
 
@@ -12,6 +13,7 @@ __all__ = [
     "LEVELS",
     "Array",
     "Bank",
+    "Calibration",
     "Check",
     "Conflict",
     "Design",

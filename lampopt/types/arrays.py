@@ -103,10 +103,36 @@ def bounds(value: npt.ArrayLike | None, name: str, length: int, default: float) 
     return array
 
 
+def tuple_of(kind: type[V], value: object, what: str) -> tuple[V, ...]:
+    """`value` as a tuple, if it is a sequence of `kind`. Raises InputError otherwise."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, kind) for v in value):
+        raise InputError(f"{what}: expected a sequence of {kind.__name__}, got {value!r:.200}")
+    return tuple(value)
+
+
+def normalisable(values: Array, names: Sequence[str], what: str) -> None:
+    """Raise InputError naming the first column (N, k) whose values, or the differences between them, overflow.
+
+    Values are normalised by their range before any solve: beyond 1e-100 to 1e100 its square is no number any more.
+    """
+    for name, column in zip(names, values.T, strict=True):
+        known = column[~np.isnan(column)]
+        if known.size == 0:
+            continue
+        largest, spread = float(np.abs(known).max()), float(known.max() - known.min())
+        if largest > 1e100 or 0 < spread < 1e-100:
+            raise InputError(
+                f"{what} {name!r}: expected values up to 1e100 that differ by 1e-100 or more, or not at all, got "
+                f"values up to {largest:.3g} that differ by {spread:.3g}: choose another unit"
+            )
+
+
 def unique(names: Sequence[str], what: str) -> None:
-    """Raise InputError naming the first of `names` that occurs twice."""
+    """Raise InputError naming the first of `names` that occurs twice, or cannot be written to a file."""
     seen: set[str] = set()
     for name in names:
+        if any("\ud800" <= c <= "\udfff" for c in name):
+            raise InputError(f"{what} names: expected text, got {name!r}, half of a character in it")
         if name in seen:
             raise InputError(f"{what} names: expected distinct ones, got {name!r} twice")
         seen.add(name)

@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.types.arrays import Array, Table, assign, frozen_array, frozen_arrays, unique
+from lampopt.types.arrays import Array, Table, assign, frozen_array, frozen_arrays, normalisable, tuple_of, unique
+from lampopt.types.calibration import Calibration
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Scalar = str | int | float | bool
+
+
+def _real(value: object) -> bool:
+    """Whether `value` is one real number, Python's or numpy's."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,11 @@ class Parameter:
             raise InputError(f"parameter: expected texts as name and unit, got {self.name!r} and {self.unit!r}")
         if not self.name or self.name != self.name.strip() or any(c in self.name for c in ".[]=\n"):
             raise InputError(f"parameter name {self.name!r}: expected text without '.', '[', ']', '=' or outer blanks")
+        for value in (self.low, self.high):
+            if value is not None and not (_real(value) and np.isfinite(value)):
+                raise InputError(f"parameter {self.name!r}: expected finite numbers as its range, got {value!r:.200}")
+        if self.spread != 0 and not 1e-100 <= self.spread <= 1e101:
+            raise InputError(f"parameter {self.name!r}: expected a range that can be normalised, got {self.spread:.3g}")
 
     def __str__(self) -> str:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
@@ -70,6 +81,13 @@ class Spec:
         return choice if isinstance(choice, Spec) else cls(choice)
 
 
+def _texts(table: object, what: str) -> Table[str]:
+    """A read-only table of texts by name."""
+    if not isinstance(table, Mapping) or not all(isinstance(v, str) for pair in table.items() for v in pair):
+        raise InputError(f"{what}: expected texts such as 'measure.value' by name, got {table!r:.200}")
+    return Table(table)
+
+
 @dataclass(frozen=True, eq=False)
 class Exemplars:
     """Meshes with known parameters, before any fitting.
@@ -105,21 +123,29 @@ class Exemplars:
     mesh_at: Callable[[Array], Trimesh] | None = None
 
     def __post_init__(self) -> None:
-        n = len(self.names)
+        names = tuple_of(str, self.names, "exemplars: names")
+        space, label_space = (
+            tuple_of(Parameter, getattr(self, name), f"exemplars: {name}") for name in ("space", "label_space")
+        )
+        n = len(names)
         if n == 0:
             raise InputError("exemplars: expected at least one, got none")
-        labels = np.full((n, len(self.label_space)), np.nan) if self.labels is None else self.labels
+        labels = np.full((n, len(label_space)), np.nan) if self.labels is None else self.labels
         assign(
             self,
-            space=tuple(self.space),
-            label_space=tuple(self.label_space),
-            names=tuple(self.names),
-            parameters=frozen_array(self.parameters, "parameters", (n, len(self.space))),
-            labels=frozen_array(labels, "labels", (n, len(self.label_space)), nan=True),
-            measured=Table(self.measured),
+            space=space,
+            label_space=label_space,
+            names=names,
+            parameters=frozen_array(self.parameters, "parameters", (n, len(space))),
+            labels=frozen_array(labels, "labels", (n, len(label_space)), nan=True),
+            measured=_texts(self.measured, "measured"),
         )
+        normalisable(self.parameters, [q.name for q in space], "parameter")
+        normalisable(self.labels, [q.name for q in label_space], "label")
         if not isinstance(self.unit, str):
             raise InputError(f"unit: expected text such as 'm', got {self.unit!r}")
+        if not all(hasattr(self.meshes, ability) for ability in ("__len__", "__getitem__")):
+            raise InputError(f"exemplars: expected a sequence of meshes, got {self.meshes!r:.200}")
         if len(self.meshes) != n:
             raise InputError(f"exemplars: expected {n} meshes, one for each name, got {len(self.meshes)}")
         unique(self.names, "exemplar")
@@ -144,8 +170,10 @@ class Frame:
     unit: str = "m"
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.scale) and self.scale > 0):
-            raise InputError(f"frame: expected a positive scale, got {self.scale}")
+        if not (_real(self.scale) and 1e-101 <= self.scale <= 1e101):
+            raise InputError(f"frame: expected a positive scale, got {self.scale!r:.200}")
+        if not isinstance(self.unit, str):
+            raise InputError(f"frame: expected text such as 'm' as its unit, got {self.unit!r:.200}")
         assign(self, scale=float(self.scale), centre=frozen_array(self.centre, "frame centre", (3,)))
 
     def to_box(self, mesh: Trimesh) -> Trimesh:
@@ -192,6 +220,8 @@ class Bank:
         What the exemplars' meshes have in common: ``{"bodies": 1, "genus": 1}``; absent where they differ.
     limits
         Limits of checks that replace the defaults.
+    calibration
+        The evidence behind these limits, where they were calibrated.
     provenance
         Seeds, hashes, versions: where this bank comes from. Plain scalars.
     path
@@ -214,20 +244,23 @@ class Bank:
     measured: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
     mesh_facts: Mapping[str, int] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)
+    calibration: Calibration | None = None
     provenance: Mapping[str, Scalar] = field(default_factory=dict)
     path: Path | None = None
 
     def __post_init__(self) -> None:
-        n, d, p = len(self.names), len(self.space), len(self.label_space)
-        unique(self.names, "exemplar")
-        unique([q.name for q in (*self.space, *self.label_space)], "parameter or label")
+        names = tuple_of(str, self.names, "bank: names")
+        space, label_space = (tuple_of(Parameter, getattr(self, s), f"bank: {s}") for s in ("space", "label_space"))
+        n, d, p = len(names), len(space), len(label_space)
+        unique(names, "exemplar")
+        unique([q.name for q in (*space, *label_space)], "parameter or label")
         probes = frozen_array(self.probes, "probes", (None, 3))
         measured = np.empty((n, 0)) if self.measured is None else self.measured
         assign(
             self,
-            space=tuple(self.space),
-            label_space=tuple(self.label_space),
-            names=tuple(self.names),
+            space=space,
+            label_space=label_space,
+            names=names,
             parameters=frozen_array(self.parameters, "parameters", (n, d)),
             labels=frozen_array(self.labels, "labels", (n, p), nan=True),
             weights=frozen_array(self.weights, "weights", (n, None), np.float32),
@@ -236,7 +269,7 @@ class Bank:
             probe_values=frozen_array(self.probe_values, "probe_values", (n, len(probes), None), np.float32),
             fit_error=frozen_array(self.fit_error, "fit_error", (n,)),
             measured=frozen_array(measured, "measured", (n, len(self.measured_by))),
-            measured_by=Table(self.measured_by),
+            measured_by=_texts(self.measured_by, "measured_by"),
             mesh_facts=Table(self.mesh_facts),
             limits=Table(self.limits),
             provenance=Table(self.provenance),
@@ -247,9 +280,14 @@ class Bank:
             raise InputError("probe_values: expected at least one value a probe, got none")
         if unknown := sorted(set(self.measured_by) - {q.name for q in self.space}):
             raise InputError(f"measured_by: {unknown} are no parameters; known are {[q.name for q in self.space]}")
-        if not all(isinstance(address, str) for address in self.measured_by.values()):
-            raise InputError(f"measured_by: expected texts such as 'measure.value', got {dict(self.measured_by)}")
-        if not all(isinstance(value, int) for value in self.mesh_facts.values()):
+        held = np.empty(0, int) if self.calibration is None else self.calibration.exemplars
+        if held.max(initial=0) >= n or held.min(initial=0) < 0:
+            raise InputError(f"calibration: expected exemplars from 0 to {n - 1}, got {held}")
+        if odd := [name for name, value in self.provenance.items() if not isinstance(value, str | int | float | None)]:
+            raise InputError(f"provenance: expected texts, numbers and truth values, got others for {odd!r:.200}")
+        normalisable(self.parameters, [q.name for q in space], "parameter")
+        normalisable(self.labels, [q.name for q in label_space], "label")
+        if not all(isinstance(value, int) and not isinstance(value, bool) for value in self.mesh_facts.values()):
             raise InputError(f"mesh_facts: expected whole numbers, got {dict(self.mesh_facts)}")
 
     def __len__(self) -> int:

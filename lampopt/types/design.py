@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf, nextafter
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -92,6 +93,20 @@ class Check:
             return self.value <= self.limit
         return self.value >= self.limit if self.sense == ">=" else self.value == self.limit
 
+    @property
+    def score(self) -> float:
+        """Value over limit, so that at most 1 passes and more is worse: 0 where nothing is judged, infinite past help.
+
+        For ``>=`` it is limit over value. A limit that no ratio can be taken of (``=``, or not positive) gives 0 or ∞.
+        """
+        if self.limit is None:
+            return 0.0
+        if self.sense == "=" or self.limit <= 0 or not 0 < self.value < inf:
+            return 0.0 if self.passed else inf
+        value, limit = float(self.value), float(self.limit)  # numpy's numbers would warn where a ratio is infinite
+        ratio = value / limit if self.sense == "<=" else limit / value
+        return min(ratio, 1.0) if self.passed else max(ratio, nextafter(1.0, 2.0))
+
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -106,6 +121,11 @@ class Result:
     def accepted(self) -> bool:
         """True when every check passed."""
         return all(check.passed for check in self.checks)
+
+    @property
+    def score(self) -> float:
+        """The worst check's value over its limit: at most 1 where accepted, and the larger the less to be trusted."""
+        return max((check.score for check in self.checks), default=0.0)
 
     def check(self, name: str) -> Check:
         """The check called `name`; InputError if there is none."""

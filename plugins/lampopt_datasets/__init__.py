@@ -6,4 +6,4 @@ from lampopt import hookimpl
 @hookimpl
 def lampopt_sources() -> dict[str, str]:
     """Sources by name."""
-    return {"table": "lampopt_datasets.table:Table"}
+    return {"run": "lampopt_datasets.run:Run", "table": "lampopt_datasets.table:Table"}

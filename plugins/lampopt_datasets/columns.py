@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.errors import InputError
+from lampopt.reading import brief, content
 from lampopt.types import Array
+
+from . import parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,6 +24,9 @@ if TYPE_CHECKING:
 SHOWN = 20  # problems told in one message; a table can have a million
 HEADER = re.compile(r"(?P<name>.*?)(?:\[(?P<unit>[^\[\]]*)\])?", re.DOTALL)
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
+LARGEST = 2**28  # bytes of a table
+ROWS, COLUMNS = 1_000_000, 10_000
+CELLS = 2_000_000  # of any table; a larger file may have one a byte
 EMPTY = ("", "nan", "na", "n/a", "null", "none", "-")
 
 
@@ -44,14 +50,26 @@ class Column:
 
     @property
     def numeric(self) -> bool:
-        """Whether this is a column of numbers: its header has a unit, or half of its filled cells are numbers.
+        """Whether this is a column of numbers: by its unit, or half of its filled cells, or its empty ones, say so.
 
-        Not all of them: a slip in one cell is to be reported, not to drop the column in silence.
+        Not all of them: a slip in one cell is to be reported, not to drop the column in silence; nor is a column whose
+        every number is missing.
         """
         if self.values is None:
             return False
         numbers, filled = int((~np.isnan(self.values)).sum()), int((~self.empty).sum())
+        if filled == 0:
+            return bool(self.unit) or self._missing()
         return bool(self.unit) or (numbers > 0 and 2 * numbers >= filled)
+
+    def _missing(self) -> bool:
+        """Whether the cells of an empty column are numbers that are missing: by their type, or by words such as nan."""
+        import pyarrow as pa
+
+        kind = self.cells.type
+        if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+            return not pa.types.is_null(kind) and not pa.types.is_dictionary(kind)
+        return any(str(cell).strip() for cell in self.cells.unique().to_pylist() if cell is not None)
 
     def problems(self, *, gaps: bool) -> Iterator[str]:
         """What is wrong with the cells, row by row (counted from 1 below the header); `gaps` allows empty ones."""
@@ -70,24 +88,36 @@ def read(path: Path) -> pa.Table:
     Raises
     ------
     InputError
-        If the file is missing, of another kind, or cannot be read.
+        If the file is missing, of another kind, cannot be read, or comes to more than a table of exemplars can.
     """
     import pyarrow as pa
-    from pyarrow import csv, parquet
 
     suffix = path.suffix.lower()
     if suffix not in (".csv", ".parquet"):
-        raise InputError(f"table {path}: expected a .csv or .parquet file, got suffix {path.suffix!r}")
-    if not path.is_file():
-        raise InputError(f"table {path}: no such file; a relative path starts at {Path.cwd()}")
+        raise InputError(f"table {brief(path)}: expected a .csv or .parquet file, got suffix {brief(suffix)!r}")
     try:
-        if suffix == ".parquet":
-            return parquet.read_table(path, partitioning=None)
-        with csv.open_csv(path) as reader:
-            headers = reader.schema.names
-        return csv.read_csv(path, convert_options=csv.ConvertOptions(column_types=dict.fromkeys(headers, pa.string())))
-    except (pa.ArrowException, ValueError, OSError) as error:
-        raise InputError(f"table {path}: cannot be read (CSV: UTF-8 text, commas, one header line): {error}") from error
+        data = content(path, largest=LARGEST)
+    except InputError as error:
+        raise InputError(f"table {brief(path)}: {error}") from error
+    try:
+        return _csv(data) if suffix == ".csv" else parquet.read(data, ROWS, max(CELLS, len(data)), COLUMNS)
+    except (pa.ArrowException, ValueError, OSError, MemoryError) as error:
+        hint = " (CSV: UTF-8 text, commas, one header line)" if suffix == ".csv" else ""
+        raise InputError(f"table {brief(path)}: cannot be read{hint}: {brief(error)}") from error
+
+
+def _csv(data: bytes) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    if data.split(b"\n", 1)[0].count(b",") >= COLUMNS:
+        raise InputError(f"expected at most {COLUMNS:,} columns, got more in the first line")
+    if data.count(b"\n") > ROWS + 1:
+        raise InputError(f"expected at most {ROWS:,} rows, got more")
+    with csv.open_csv(pa.BufferReader(data)) as reader:
+        headers = reader.schema.names
+    text = csv.ConvertOptions(column_types=dict.fromkeys(headers, pa.string()))
+    return csv.read_csv(pa.BufferReader(data), csv.ReadOptions(use_threads=False), convert_options=text)
 
 
 def columns(table: pa.Table, path: Path) -> dict[str, Column]:
@@ -96,8 +126,10 @@ def columns(table: pa.Table, path: Path) -> dict[str, Column]:
     Raises
     ------
     InputError
-        If two columns have one name.
+        If two columns have one name, or one cannot be read.
     """
+    import pyarrow as pa
+
     found: dict[str, Column] = {}
     for header, cells in zip(table.column_names, table.columns, strict=True):
         name, unit = name_and_unit(header)
@@ -105,7 +137,10 @@ def columns(table: pa.Table, path: Path) -> dict[str, Column]:
             continue
         if name in found:
             raise InputError(f"table {path}: expected distinct column names, got {name!r} twice")
-        found[name] = Column(name, unit, cells, *_values(cells))
+        try:
+            found[name] = Column(name, unit, cells, *_values(cells))
+        except pa.ArrowException as error:
+            raise InputError(f"table {brief(path)}: column {brief(name)!r} cannot be read: {brief(error)}") from error
     return found
 
 

@@ -7,10 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
+from lampopt.errors import InputError
 from lampopt.meshfile import load_mesh
+from lampopt.reading import brief
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+
+def inside(folder: Path, file: str) -> bool:
+    """Whether `file` of `folder` is in it, wherever links may lead."""
+    try:
+        return (folder / file).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):  # links in a circle; a name too long, or one with a NUL
+        return False
 
 
 @dataclass(frozen=True)
@@ -30,4 +40,7 @@ class MeshFiles(Sequence["Trimesh"]):
     def __getitem__(self, index: int | slice) -> Any:
         if isinstance(index, slice):
             return MeshFiles(self.folder, self.files[index])
-        return load_mesh(self.folder / self.files[index])
+        file = self.files[index]
+        if not inside(self.folder, file):  # again: a link may have been put there since the table was read
+            raise InputError(f"mesh {brief(file)}: leads out of the folder {self.folder}")
+        return load_mesh(self.folder / file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -17,10 +18,11 @@ from lampopt.meshfile import SUFFIXES
 from lampopt.types import Array, Exemplars, Parameter
 
 from .columns import Column, columns, first, name_and_unit, read
-from .meshes import MeshFiles
+from .meshes import MeshFiles, inside
 
 log = logging.getLogger("lampopt")
 MESH = "mesh"
+DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])\s*(\..*)?", re.IGNORECASE | re.DOTALL)  # on Windows
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class Table:
     table
         CSV (UTF-8, commas, one header line) or Parquet file.
     meshes
-        Folder of STL, OBJ, PLY, OFF or GLB files; by default the table's own.
+        Folder of STL, OBJ, PLY, OFF, GLB, glTF, 3MF or COLLADA files, which no path may leave; by default the table's
+        own.
     labels
         Comma-separated names of columns that are labels; their cells may be empty.
     unit
@@ -77,6 +80,9 @@ class Table:
         InputError
             Saying everything that is wrong with the table at once, by row and column.
         """
+        for option in ("table", "meshes", "labels", "unit", "parameters"):
+            if not isinstance(getattr(self, option), str):
+                raise InputError(f"{option}: expected text, got {short(getattr(self, option))}")
         path = Path(self.table)
         folder = Path(self.meshes) if self.meshes else path.parent
         data = read(path)
@@ -179,6 +185,8 @@ def _file_problems(files: Sequence[str], folder: Path) -> Iterator[str]:
             yield f"row {row}, column {MESH!r}: expected a file name, got an empty cell"
         elif path.is_absolute() or PureWindowsPath(file).anchor or ".." in PureWindowsPath(file).parts:
             yield f"row {row}: mesh {short(file)} leads out of the folder {folder}; give a path inside it"
+        elif any(DEVICE.fullmatch(part) for part in PureWindowsPath(file).parts):
+            yield f"row {row}: mesh {short(file)} is the name of a device on Windows; rename the file"
         elif path.suffix.lower() not in SUFFIXES:
             yield f"row {row}: mesh {short(file)}: expected a file of {', '.join(SUFFIXES)}"
         elif _stem(file) in rows:
@@ -187,3 +195,5 @@ def _file_problems(files: Sequence[str], folder: Path) -> Iterator[str]:
             rows[_stem(file)] = row
             if not os.path.isfile(folder / file):  # unlike Path.is_file, False for a name too long as well
                 yield f"row {row}: mesh {short(file)}: no such file in {folder}"
+            elif not inside(folder, file):
+                yield f"row {row}: mesh {short(file)}: a link that leads out of the folder {folder}; put the file there"

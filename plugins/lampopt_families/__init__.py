@@ -6,4 +6,4 @@ from lampopt import hookimpl
 @hookimpl
 def lampopt_sources() -> dict[str, str]:
     """Sources by name."""
-    return {"plate": "lampopt_families.plate:PlateSource"}
+    return {"morph": "lampopt_families.morph:MorphSource", "plate": "lampopt_families.plate:PlateSource"}

@@ -19,6 +19,7 @@ NAMES = ("length", "width", "thickness", "hole_radius", "hole_x", "hole_y")
 LOW = (2.0, 1.4, 0.2, 0.15, -0.10, -0.08)  # [m]
 HIGH = (3.0, 2.0, 0.3, 0.25, 0.10, 0.08)  # [m]
 DESIGNS = ("ends", "lhs", "sobol", "random")
+MOST = {"count": 100_000, "seed": 2**63 - 1, "segments": 100_000}  # beyond lies a slip, or a machine out of memory
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class PlateSource:
     segments: int = 128
 
     def __post_init__(self) -> None:
+        for name, most in MOST.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value > most:
+                raise InputError(f"plate: {name}: expected a whole number up to {most:,}, got {value!r:.100}")
         if self.design not in DESIGNS:
             raise InputError(f"plate: design: expected one of {', '.join(DESIGNS)}, got {self.design!r}")
         if self.design == "ends" and self.count != 2 * len(NAMES) + 1:

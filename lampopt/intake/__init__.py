@@ -1,0 +1,7 @@
+"""Intake: what every mesh is like, alone and against its fellows, before any fitting."""
+
+from lampopt.intake.records import Finding, Health
+from lampopt.intake.report import ALL, Facts, Intake, intake
+from lampopt.intake.wrap import wrap
+
+__all__ = ["ALL", "Facts", "Finding", "Health", "Intake", "intake", "wrap"]

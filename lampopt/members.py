@@ -1,0 +1,265 @@
+"""Exemplars added to a bank, or taken from it, without fitting the others again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lampopt import lamp
+from lampopt.bank import decoder_of, hashed, looked_at
+from lampopt.errors import BankError, InputError
+from lampopt.fitting import Fitting, InBox, probe_values, ranged
+from lampopt.measured import measure_each
+from lampopt.partial import Partial
+from lampopt.plugins import Plugins
+from lampopt.protocols import Decoder, Progress
+from lampopt.types import Array, Bank, Exemplars, Parameter, Scalar
+
+ROOM = 0.05  # least part of the box, on each side, that a new exemplar leaves free
+log = logging.getLogger("lampopt")
+
+
+def add_exemplars(
+    bank: Bank,
+    exemplars: Exemplars,
+    *,
+    store: str | Path | None = None,
+    accept: Iterable[str] = (),
+    progress: Progress | None = None,
+    plugins: Plugins | None = None,
+) -> Bank:
+    """A bank with more exemplars: those that are there keep their weights, bit for bit.
+
+    The new ones are fitted from the bank's own start, in its frame, with its seed, each as in a batch of its own: what
+    comes of one does not depend on which others are added. Ranges of parameters grow with them. Limits that were
+    calibrated, and the evidence for them, are dropped: they were of other exemplars.
+
+    Parameters
+    ----------
+    bank
+        The bank; it is not altered, nor is its file.
+    exemplars
+        New ones, of the same parameters in the same units, with labels that the bank knows, or without.
+    store
+        The `.lamp` file to write. An interrupted addition of the same exemplars is resumed; a finished one is loaded.
+    accept
+        Names of exemplars that intake doubts and that are meant to be as they are, or "all".
+    progress
+        Told how far it is.
+    plugins
+        What to choose from, if not all that is installed.
+
+    Raises
+    ------
+    InputError
+        If they do not belong into this bank: another name, parameter, unit, or a mesh too large for its frame.
+    FitError
+        Naming the exemplar that cannot be fitted, and why.
+    BankError
+        If `store` holds another bank, or another process is building it.
+    """
+    _expect_bank(bank)
+    if not isinstance(exemplars, Exemplars):
+        raise InputError(f"exemplars: expected lampopt.types.Exemplars, got {exemplars!r:.80}")
+    exemplars = _in_order_of(bank, exemplars)
+    plugins = plugins or Plugins.load().report()
+    decoder = decoder_of(bank, plugins)
+    report = looked_at(exemplars, accept, finished=False, progress=progress)
+    exemplars, facts = report.exemplars, report.facts
+    _expect_to_fit(bank, decoder, facts.bounds, exemplars.names)
+    inputs = {
+        "meshes": facts.hashes,
+        "names": exemplars.names,
+        "parameters": lamp.digest(exemplars.parameters),
+        "labels": lamp.digest(exemplars.labels),
+        "decoder": f"{bank.decoder!r} of {plugins.get('decoder', bank.decoder.name)}",
+    }
+    plan = _plan(bank, added=inputs)
+    path = Path(store) if store is not None else None
+    if path is not None and path.exists():
+        return _finished(path, plan)
+    measured = measure_each(exemplars, bank.measured_by, plugins)
+    with nullcontext() if path is None else Partial.open(path, plan) as partial:
+        if path is not None and path.exists():  # another process has come to its end meanwhile
+            return _finished(path, plan)
+        called, seed = bank.decoder.name, int(bank.provenance.get("seed", 0))
+        fitting = Fitting(decoder, called, seed, partial, *([progress] if progress else []))
+        weights, error = fitting.fit(bank.shared, InBox(exemplars.meshes, exemplars.names, bank.frame), 1)
+        values = probe_values(decoder, called, bank.shared, weights, bank.probes)
+        if weights.shape[1] != bank.weights.shape[1] or values.shape[2] != bank.probe_values.shape[2]:
+            raise BankError(
+                f"decoder {bank.decoder}: gives {weights.shape[1]} weights and {values.shape[2]} values now, the bank "
+                f"has {bank.weights.shape[1]} and {bank.probe_values.shape[2]}: use the versions that built it"
+            )
+        parameters = np.concatenate([bank.parameters, exemplars.parameters])
+        labels = np.concatenate([bank.labels, exemplars.labels])
+        grown = replace(
+            _uncalibrated(bank),
+            space=ranged(bank.space, parameters),
+            parameters=parameters,
+            label_space=ranged(bank.label_space, labels),
+            labels=labels,
+            names=(*bank.names, *exemplars.names),
+            weights=np.concatenate([bank.weights, weights]),
+            probe_values=np.concatenate([bank.probe_values, values]),
+            fit_error=np.concatenate([bank.fit_error, error]),
+            measured=np.concatenate([bank.measured, measured]),
+            mesh_facts=facts.common if dict(facts.common) == dict(bank.mesh_facts) else {},
+            provenance=_provenance(bank, plan, "added", exemplars.names, hashed(facts.hashes)),
+            path=None,
+        )
+        if path is None or partial is None:
+            return grown
+        grown = lamp.store_bank(grown, path)
+        partial.remove()
+        return grown
+
+
+def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | None = None) -> Bank:
+    """A bank without the exemplars called `names`: the others keep their weights, bit for bit.
+
+    Nothing is fitted; the start stays as it is, also where it was made from one that leaves. Ranges of parameters
+    shrink to those that stay. Limits that were calibrated, and the evidence for them, are dropped.
+
+    Parameters
+    ----------
+    bank
+        The bank; it is not altered, nor is its file.
+    names
+        Who leaves.
+    store
+        The `.lamp` file to write.
+
+    Raises
+    ------
+    InputError
+        If the bank has no such exemplar, or none would stay.
+    BankError
+        If `store` holds another bank, or cannot be written.
+    """
+    _expect_bank(bank)
+    if isinstance(names, str) or not isinstance(names, Sequence) or not names:
+        raise InputError(f"names: expected a list of exemplars, such as ['{bank.names[0]}'], got {names!r:.80}")
+    if unknown := [name for name in names if name not in bank.names]:
+        raise InputError(f"{_listed(unknown)}: no exemplars of this bank; there are {', '.join(bank.names)}")
+    stay = [i for i, name in enumerate(bank.names) if name not in set(names)]
+    if not stay:
+        raise InputError(f"names: expected at least one of the {len(bank)} exemplars to stay, got all of them")
+    plan = _plan(bank, removed=sorted(set(names)))
+    path = Path(store) if store is not None else None
+    if path is not None and path.exists():
+        return _finished(path, plan)
+    gone = [name for name in bank.names if name in set(names)]
+    left = replace(
+        _uncalibrated(bank),
+        space=ranged(bank.space, bank.parameters[stay]),
+        label_space=ranged(bank.label_space, bank.labels[stay]),
+        names=tuple(bank.names[i] for i in stay),
+        **{
+            name: getattr(bank, name)[stay]
+            for name in ("parameters", "labels", "weights", "probe_values", "fit_error", "measured")
+        },
+        provenance=_provenance(bank, plan, "removed", gone),
+        path=None,
+    )
+    if path is None:
+        return left
+    with Partial.open(path, plan) as partial:
+        left = lamp.store_bank(left, path)
+        partial.remove()
+        return left
+
+
+def _expect_bank(bank: object) -> None:
+    if not isinstance(bank, Bank):
+        raise InputError(f"bank: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
+
+
+def _in_order_of(bank: Bank, exemplars: Exemplars) -> Exemplars:
+    """`exemplars` with parameters and labels in the bank's order; labels that they lack are not known."""
+    if twice := [name for name in exemplars.names if name in bank.names]:
+        raise InputError(f"{_listed(twice)}: already in the bank; rename them, or remove those that are there first")
+    if exemplars.unit != bank.frame.unit:
+        raise InputError(f"unit: expected meshes in {bank.frame.unit!r}, as the bank's, got {exemplars.unit!r}")
+    if sorted(map(str, exemplars.space)) != sorted(map(str, bank.space)):
+        raise InputError(f"parameters: expected {_listed(bank.space)}, as the bank's, got {_listed(exemplars.space)}")
+    known = [str(q) for q in bank.label_space]
+    if strange := [q for q in exemplars.label_space if str(q) not in known]:
+        raise InputError(f"labels: expected some of {_listed(known) or 'none'}, as the bank's, got {_listed(strange)}")
+    names = [q.name for q in exemplars.space]
+    labels = np.full((len(exemplars), len(known)), np.nan)
+    for q, column in zip(exemplars.label_space, exemplars.labels.T, strict=True):
+        labels[:, known.index(str(q))] = column
+    return replace(
+        exemplars,
+        space=bank.space,
+        parameters=exemplars.parameters[:, [names.index(q.name) for q in bank.space]],
+        label_space=bank.label_space,
+        labels=labels,
+    )
+
+
+def _expect_to_fit(bank: Bank, decoder: Decoder, bounds: Array, names: Sequence[str]) -> None:
+    """Refuse meshes that the box of the decoder would cut, or nearly."""
+    low, high = np.asarray(decoder.bounds, float)
+    room = ROOM * (high - low)
+    at = (bounds - bank.frame.centre) * bank.frame.scale  # (n, 2, 3) in the box
+    outside = (at[:, 0] < low + room).any(1) | (at[:, 1] > high - room).any(1)
+    if outside.any():
+        least, most = ((corner / bank.frame.scale + bank.frame.centre) for corner in (low + room, high - room))
+        raise InputError(
+            f"{_listed(name for name, bad in zip(names, outside, strict=True) if bad)}: too large for this bank, where "
+            f"meshes lie between {np.round(least, 6).tolist()} and {np.round(most, 6).tolist()} {bank.frame.unit}: "
+            "build the bank anew with them among the exemplars"
+        )
+
+
+def _uncalibrated(bank: Bank) -> Bank:
+    """`bank` without the limits that were found for its exemplars as they were, and without the evidence."""
+    if bank.calibration is None:
+        return bank
+    log.warning("the bank's limits were calibrated for other exemplars: they are dropped; calibrate it again")
+    kept = {name: limit for name, limit in bank.limits.items() if name not in bank.calibration.checks}
+    return replace(bank, limits=kept, calibration=None)
+
+
+def _plan(bank: Bank, **change: object) -> str:
+    """A hash of all that the changed bank depends on."""
+    before = {
+        "plan": bank.provenance.get("plan"),
+        "weights": lamp.digest(bank.weights),
+        "names": bank.names,
+        "measured_by": dict(bank.measured_by),
+        "limits": dict(bank.limits),
+    }
+    return hashed(before | change)
+
+
+def _provenance(bank: Bank, plan: str, what: str, names: Sequence[str], meshes: str = "") -> Mapping[str, Scalar]:
+    """The bank's own, with the change: who was added or removed, after those of earlier changes."""
+    from importlib.metadata import version
+
+    known = {name: value for name, value in bank.provenance.items() if name != "calibrated"}
+    before = [str(known[what])] if what in known else []
+    known |= {"plan": plan, "lampopt": version("lampopt"), what: ", ".join([*before, *names])}
+    if meshes:
+        known["meshes"] = hashed([known.get("meshes"), meshes])
+    return known
+
+
+def _finished(path: Path, plan: str) -> Bank:
+    """The bank at `path`, if it is the one asked for."""
+    bank = lamp.load_bank(path)
+    if bank.provenance.get("plan") != plan:
+        raise BankError(f"{path}: holds another bank: delete it or name another")
+    Partial.beside(path, plan).remove()  # left where this was killed in its very last moment
+    return bank
+
+
+def _listed(names: Iterable[str | Parameter]) -> str:
+    return ", ".join(map(str, names))

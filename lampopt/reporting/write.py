@@ -1,0 +1,75 @@
+"""The one door: a run's results → `report.html` in its folder."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from lampopt.errors import InputError
+from lampopt.plugins import Plugins
+from lampopt.reporting.figures import figures
+from lampopt.reporting.gather import gather
+from lampopt.reporting.page import page
+from lampopt.study import Study
+from lampopt.types import Bank, Result
+
+MOST = 100  # designs shown in full
+BESIDE = 24  # exemplars on the map of shapes; no more than designs, since each has to be decoded
+log = logging.getLogger("lampopt")
+
+
+def write_report(
+    folder: str | Path,
+    study: Study,
+    bank: Bank,
+    results: Iterable[Result],
+    *,
+    out: str | Path | None = None,
+    plugins: Plugins | None = None,
+) -> Path:
+    """Write the report of `results` as one HTML file that needs nothing else; returns its path.
+
+    Results are read one at a time, in their order; at most 100 of them are drawn, evenly spread over the run. A shape
+    that cannot be drawn is reported without its picture.
+
+    Parameters
+    ----------
+    folder
+        The run folder: the report is `report.html` in it, and is called by its name.
+    study, bank
+        What was asked, and of what.
+    results
+        What came.
+    out
+        The file, if it is another.
+    plugins
+        Where decoder and measures come from; by default all that are installed.
+
+    Raises
+    ------
+    InputError
+        If there is no result, or the file cannot be written.
+    """
+    folder = Path(folder)
+    path = folder / "report.html" if out is None else Path(out)
+    gathered = gather(results, bank, MOST)
+    if not gathered.lines:
+        raise InputError(f"report: expected at least one result in {folder}, got none: run the study first")
+    drawn = figures(
+        bank,
+        study.resolution,
+        gathered.shown if study.level == "mesh" else {},
+        study.reference,
+        0 if gathered.single else min(BESIDE, len(gathered.shown)),
+        plugins or Plugins.load().report(),
+    )
+    text = page(folder.absolute().name, study, bank, gathered, drawn)
+    aside = path.with_name(path.name + ".writing")
+    try:
+        aside.write_text(text, encoding="utf-8")
+        os.replace(aside, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
+    return path

@@ -1,0 +1,236 @@
+"""A study with everything it names found and opened: makes one design and judges it, and tells it from others."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt import lamp
+from lampopt.bank import decoder_of
+from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
+from lampopt.decode import decode
+from lampopt.errors import EmptyMesh, InputError, PluginError
+from lampopt.mix import mixed_weights, predicted
+from lampopt.plugins import Plugins
+from lampopt.protocols import Checker, Decoder, Solver
+from lampopt.record import MeshFile
+from lampopt.solve import Posed, pose
+from lampopt.study import Study, Value
+from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+
+@dataclass(frozen=True, eq=False)
+class Designer:
+    """Makes designs of a bank; `decoder` is asked for only where a mesh has to be decoded."""
+
+    bank: Bank
+    decoder: Callable[[], Decoder]
+    resolution: int
+
+    def __call__(
+        self,
+        target: Mapping[str, float],
+        mix: Mix,
+        file: MeshFile | None = None,
+        provenance: Mapping[str, Scalar] | None = None,
+    ) -> Design:
+        """The design of one mix, its mesh read from `file` if it is there; `provenance` has the resolution it had."""
+        weights = mixed_weights(self.bank, mix.alpha)
+        resolution = (provenance or {}).get("resolution", self.resolution)
+        if not (isinstance(resolution, int) and 4 <= resolution <= 4096):
+            raise InputError(f"resolution: expected a whole number from 4 to 4096, got {resolution!r:.80}")
+
+        def make() -> Trimesh | None:
+            found = None if file is None else file.read()
+            if found is not None:
+                found.units = self.bank.frame.unit
+                return found
+            try:
+                made = decode(self.bank, self.decoder(), weights, resolution=resolution)
+            except EmptyMesh:
+                return None
+            if file is not None:
+                file.restore(made)
+            return made
+
+        return Design(target, mix, predicted(self.bank, mix.alpha), weights, make)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A study, its bank and every plugin it names."""
+
+    study: Study
+    bank: Bank
+    decoder: Decoder
+    solver: Solver
+    limits: Limits
+    checkers: Mapping[str, Checker]
+    plugins: Plugins
+
+    @classmethod
+    def of(cls, study: Study, plugins: Plugins | None) -> Task:
+        """What `study` needs, found and opened.
+
+        Raises
+        ------
+        StudyError, BankError, PluginError
+            If something is missing or cannot be used.
+        """
+        plugins = plugins or Plugins.load().report()
+        _require(study, plugins)
+        bank = study.opened()
+        solver: Solver = plugins.make("solver", study.solver)
+        checkers: dict[str, Checker] = {name: plugins.make("check", name) for name in study.checks}
+        for name, made in checkers.items():
+            if made.needs not in LEVELS:
+                raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
+        for name in study.measures:
+            plugins.get("measure", name)
+        return cls(study, bank, decoder_of(bank, plugins), solver, Limits.of(bank, study.limits), checkers, plugins)
+
+    def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
+        """Every wanted value by name [the bank's units], with `change` among the targets."""
+        targets = {**self.study.targets, **change}
+        return replace(self.study, targets=targets, sweep={}).asked(self.bank)
+
+    def posed(self, target: Mapping[str, float]) -> Posed:
+        """The problem that one target poses."""
+        study = self.study
+        return pose(self.bank, target, ranges=study.bounds(self.bank), hard=study.hard, reference=study.reference)
+
+    @cached_property
+    def designer(self) -> Designer:
+        """What makes this task's designs."""
+        return Designer(self.bank, lambda: self.decoder, self.study.resolution)
+
+    def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
+        """One design through mix, decode and check, as far as the study's level."""
+        made = self.designer(target, mix)
+        checks = alpha_checks(posed, mix, self.limits)
+        for level in LEVELS[: LEVELS.index(self.study.level) + 1]:
+            if level == "field":
+                checks += field_checks(self.bank, self.decoder, made, self.limits)
+            if level == "mesh":
+                measured = ", ".join(self.bank.measured_by.values()) or "no measure"
+                with _unaltered(made.mesh, f"one of {measured}, or the decoder,"):
+                    resolution = self.study.resolution
+                    checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins)
+                if made.mesh is None:
+                    break  # nothing is left to be measured or judged
+                for name in self.study.measures:
+                    with _unaltered(made.mesh, f"measure {name!r}"):
+                        checks += measure_checks(self.bank, made.mesh, [name], self.plugins)
+            for name, checker in self.checkers.items():
+                with _unaltered(made.__dict__.get("mesh"), f"check {name!r}"):
+                    checks += stranger_checks(self.bank, made, {name: checker}, level)
+        return self.result(made, checks)
+
+    def result(self, made: Design, checks: Sequence[Check]) -> Result:
+        """A design with the evidence about it. Raises PluginError where two checks have one name."""
+        return Result(made, tuple(_unique(checks)), dict(self.provenance))
+
+    def key(self, target: Mapping[str, float]) -> str:
+        """What tells a design from all others: a hash of everything that it depends on."""
+        return _hash({"run": self.identity, "target": dict(target)})
+
+    @cached_property
+    def identity(self) -> str:
+        """A hash of all but the target that a result depends on."""
+        study = self.study
+        drift = self.bank.measured_by.values() if study.level == "mesh" else ()
+
+        def offer(kind: str, name: str) -> str:
+            return str(self.plugins.get(kind, name))
+
+        return _hash(
+            {
+                "versions": dict(self.provenance),
+                **contents(self.bank),
+                "limits": [dict(study.limits), dict(self.bank.limits)],
+                "solver": repr(study.solver),
+                "reference": study.reference,
+                "ranges": study.bounds(self.bank),
+                "hard": study.hard,
+                "measures": {name: offer("measure", name) for name in study.measures},
+                "drift": {address: offer("measure", address.partition(".")[0]) for address in drift},
+                "checks": {name: offer("check", name) for name in study.checks},
+                "format": study.format,
+                "level": study.level,
+                "resolution": study.resolution,
+                "seed": study.seed,
+            }
+        )
+
+    @cached_property
+    def provenance(self) -> Mapping[str, Scalar]:
+        """Where the results come from: the bank's own, versions, solver and decoder."""
+        solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
+        decoder = self.plugins.get("decoder", self.bank.decoder.name)
+        return {
+            **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
+            "lampopt": version("lampopt"),
+            "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
+            "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",
+            "level": self.study.level,
+            "resolution": self.study.resolution,
+        }
+
+
+def contents(bank: Bank) -> dict[str, object]:
+    """What in a bank a result depends on, arrays as hashes, whatever file it is in."""
+    return {
+        "space": [str(q) for q in (*bank.space, *bank.label_space)],
+        "names": bank.names,
+        "measured_by": dict(bank.measured_by),
+        "mesh_facts": dict(bank.mesh_facts),
+        "frame": [bank.frame.scale, bank.frame.centre.tolist(), bank.frame.unit],
+        "bank": [lamp.digest(getattr(bank, name)) for name in lamp.PLAIN],
+        "shared": {name: lamp.digest(array) for name, array in bank.shared.items()},
+        "limits": dict(bank.limits),
+        "decoder": repr(bank.decoder),
+    }
+
+
+@contextmanager
+def _unaltered(mesh: Trimesh | None, who: str) -> Iterator[None]:
+    """Refuse a plugin that alters the design it is to judge: the others would judge, and the user get, another one."""
+    before = None if mesh is None else _shape(mesh)
+    yield
+    if mesh is not None and _shape(mesh) != before:
+        raise PluginError(f"{who} altered the mesh that it was given: a plugin has to work on a copy of its own")
+
+
+def _shape(mesh: Trimesh) -> tuple[str, str]:
+    return lamp.digest(mesh.vertices.view(np.ndarray)), lamp.digest(mesh.faces.view(np.ndarray))
+
+
+def _require(study: Study, plugins: Plugins) -> None:
+    present = {*plugins.owners, *(distribution for distribution, _ in plugins.owners.values())}
+    if missing := [name for name in study.requires if name not in present]:
+        raise PluginError(
+            f"study requires {', '.join(missing)}, not installed; installed are {', '.join(sorted(present))}"
+        )
+
+
+def _unique(checks: Sequence[Check]) -> list[Check]:
+    """The checks, refusing a plugin's that takes the name of another: evidence must not be shadowed."""
+    names = [check.name for check in checks]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise PluginError(f"checks: {', '.join(twice)} come twice; a plugin's checks need names of their own")
+    return list(checks)
+
+
+def _hash(value: object) -> str:
+    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -1,0 +1,260 @@
+"""The designs of a sweep, made here or by an executor's workers; only this process writes them down."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Generator, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lampopt.errors import LampoptError, PluginError, StudyError, SweepError
+from lampopt.mixes import Mixes
+from lampopt.plugins import Plugins
+from lampopt.record import RunFolder
+from lampopt.study import Study
+from lampopt.task import Task
+from lampopt.types import Check, Mix, Result
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+Target = Mapping[str, float]
+
+
+def judged(
+    task: Task,
+    asked: Sequence[Target],
+    place: RunFolder | None = None,
+    executor: Executor | None = None,
+    file: Path | None = None,
+) -> Generator[Result, None, None]:
+    """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
+
+    Parameters
+    ----------
+    task
+        What makes them here.
+    asked
+        The targets.
+    place
+        Where they are recorded.
+    executor
+        Who makes them instead.
+    file
+        The bank's, for other processes.
+
+    Raises
+    ------
+    SweepError
+        If a worker is lost.
+    """
+    if executor is not None:
+        yield from _Ahead(task, asked, place, executor, file).results()
+        return
+    mixes = Mixes(task.posed, task.solver, asked)
+    for number, target in enumerate(asked):
+        key = "" if place is None else task.key(target)
+        result = None if place is None else place.read(key, task.bank, task.designer)
+        if result is None:
+            began = time.perf_counter()
+            result = task.judge(target, *mixes.at(number))
+            result = _keep(task, place, key, result, time.perf_counter() - began)
+        yield result
+
+
+def state(task: Task, asked: Sequence[Target], place: RunFolder) -> str:
+    """How much of a sweep is done, for somebody whose sweep was stopped."""
+    keys = {task.key(target) for target in asked}
+    done = sum(place.has(key) for key in keys)
+    return f"{done} of {len(keys)} designs are done and kept in {place.folder}; the same sweep goes on with the rest"
+
+
+def _keep(task: Task, place: RunFolder | None, key: str, result: Result, seconds: float) -> Result:
+    if place is None:
+        return result
+    result = place.write(key, result, task.bank, form=task.study.format, seconds=seconds)
+    task.plugins.recorded(result, result.folder or place.folder)
+    return result
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What a worker sends back; the rest of a design follows from its mix."""
+
+    checks: tuple[Check, ...]
+    made: bool  # whether the mesh was asked for at all
+    mesh: Trimesh | None
+    seconds: float
+
+
+class _Ahead:
+    """A few designs more than there are workers are under way; each is recorded as soon as it is there."""
+
+    def __init__(
+        self, task: Task, asked: Sequence[Target], place: RunFolder | None, executor: Executor, file: Path | None
+    ) -> None:
+        self._task, self._asked, self._place, self._executor = task, asked, place, executor
+        self._mixes = Mixes(task.posed, task.solver, asked)
+        self._keys = [task.key(target) for target in asked] if place is not None else []
+        self._most = 2 * max(os.cpu_count() or 1, getattr(executor, "_max_workers", 1))
+        # Threads share what is open; other processes open it for themselves, once.
+        self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
+        self._sent, self._next = dict[int, tuple[Future[_Answer], Mix]](), 0
+        self._done = dict[int, Result]()
+
+    def results(self) -> Generator[Result, None, None]:
+        """In order."""
+        try:
+            for number in range(len(self._asked)):
+                self._send()
+                while number in self._sent:
+                    self._take()
+                yield self._done.pop(number) if number in self._done else self._read(number)
+        except (BrokenExecutor, CancelledError) as error:
+            self._stop()
+            left = "" if self._place is None else f": {state(self._task, self._asked, self._place)}"
+            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{left}") from error
+        finally:
+            self._stop()
+
+    def _send(self) -> None:
+        """Keep the workers busy; what is recorded, or under way for the same target, is not made again."""
+        while self._next < len(self._asked) and len(self._sent) + len(self._done) < self._most:
+            number, target = self._next, self._asked[self._next]
+            if self._place is None or not (
+                self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
+            ):
+                _, mix = self._mixes.at(number)
+                self._sent[number] = (self._submit(target, mix), mix)
+            self._next += 1
+
+    def _submit(self, target: Target, mix: Mix) -> Future[_Answer]:
+        try:
+            if self._setup is None:
+                return self._executor.submit(_judge, self._task, target, mix)
+            return self._executor.submit(_judge_there, self._setup, dict(target), mix)
+        except BrokenExecutor:
+            raise
+        except RuntimeError as error:
+            raise StudyError(f"executor: expected one that takes work, got one that does not: {error}") from error
+
+    def _take(self) -> None:
+        """Wait for a design, and record all that are there, those beside one that failed too."""
+        wait([future for future, _ in self._sent.values()], return_when=FIRST_COMPLETED)
+        self._keep_finished()
+        for future, _ in self._sent.values():
+            if future.done():
+                future.result()  # raises: the others are recorded
+
+    def _keep_finished(self) -> None:
+        for number, (future, mix) in list(self._sent.items()):
+            if future.done() and not future.cancelled() and future.exception() is None:
+                del self._sent[number]
+                answer = future.result()
+                result = _result(self._task, self._asked[number], mix, answer)
+                key = self._keys[number] if self._place is not None else ""
+                self._done[number] = _keep(self._task, self._place, key, result, answer.seconds)
+
+    def _stop(self) -> None:
+        """Ask for no more, and keep what has been finished meanwhile."""
+        for future, _ in self._sent.values():
+            future.cancel()
+        with suppress(LampoptError):  # something stopped it already, the same perhaps
+            self._keep_finished()
+        self._sent.clear()
+
+    def _read(self, number: int) -> Result:
+        assert self._place is not None  # nothing is left out that is not recorded
+        result = self._place.read(self._keys[number], self._task.bank, self._task.designer)
+        assert result is not None
+        return result
+
+
+def _result(task: Task, target: Target, mix: Mix, answer: _Answer) -> Result:
+    design = task.designer(target, mix)
+    if answer.made:
+        design = replace(design, make_mesh=lambda: answer.mesh)
+        _ = design.mesh  # it counts as made
+    return task.result(design, answer.checks)
+
+
+def _judge(task: Task, target: Target, mix: Mix) -> _Answer:
+    began = time.perf_counter()
+    result = task.judge(target, task.posed(target), mix)
+    known = result.design.__dict__
+    return _Answer(result.checks, "mesh" in known, known.get("mesh"), time.perf_counter() - began)
+
+
+def _judge_there(setup: bytes, target: Target, mix: Mix) -> _Answer:
+    return _judge(_unpacked(setup), target, mix)
+
+
+def processes(count: int) -> Executor:
+    """So many processes of this machine; they end with this one, also if it is killed, and silently at Ctrl-C."""
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    # Spawned, since a fork of a process with threads may hang.
+    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _serve)
+
+
+def _serve() -> None:
+    from multiprocessing import parent_process
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it reaches the parent too, which says what is left
+
+    def follow() -> None:
+        if (parent := parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _packed(task: Task, file: Path | None) -> bytes:
+    """All that another process needs to open the same task, and to know that it is the same."""
+    if file is None:
+        raise StudyError(
+            "executor: other processes read the bank from its file, and this one is in none: name a folder for the "
+            "sweep, or store the bank with store_bank"
+        )
+    owners, manager = task.plugins.owners, task.plugins.manager
+    extra = [(name, manager.get_plugin(name)) for name, (owner, _) in owners.items() if owner == "not installed"]
+    study = replace(task.study, bank=str(file.resolve())).to_toml()
+    try:
+        return pickle.dumps((study, task.identity, list(owners), extra))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise PluginError(
+            f"executor: the plugins {', '.join(name for name, _ in extra)} are not installed and cannot be sent to "
+            f"other processes ({error}): install them, or use a ThreadPoolExecutor"
+        ) from error
+
+
+@lru_cache(maxsize=1)  # opening the bank reads all of it: once a worker, not once a design
+def _unpacked(setup: bytes) -> Task:
+    study, identity, names, extra = pickle.loads(setup)  # by the process that started this one
+    installed = {point.name for point in entry_points(group="lampopt")}
+    task = Task.of(Study.from_toml(study), Plugins.load(extra, block=installed - set(names)))
+    if task.identity != identity:
+        raise PluginError(
+            "a worker would make other designs: its bank, plugins or versions differ from those of the process that "
+            "asked; install the same in both"
+        )
+    return task

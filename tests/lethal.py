@@ -1,0 +1,46 @@
+"""Plugins and tasks for workers in other processes, which import them from here."""
+
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import lampopt
+import lampopt.task
+
+
+@dataclass(frozen=True)
+class Dies:
+    """Measure that kills its process on the design whose length stands in the file that LETHAL names, if any."""
+
+    names = ("length",)
+    units = ("L",)
+
+    def __call__(self, mesh):
+        fatal = Path(os.environ.get("LETHAL", "nowhere"))
+        if fatal.exists() and abs(mesh.extents[0] - float(fatal.read_text())) < 1e-3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return mesh.extents[:1]
+
+
+@dataclass(frozen=True)
+class Garbage(Dies):
+    """Measure that returns what is no value."""
+
+    def __call__(self, mesh):
+        return np.zeros(5)
+
+
+class Plugin:
+    """Offers them."""
+
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"dies": Dies, "garbage": Garbage}
+
+
+def differ():
+    """Be of another version from now on."""
+    lampopt.task.version = lambda name: "9"
