@@ -171,6 +171,15 @@ def decoder_of(bank: Bank, plugins: Plugins) -> Decoder:
     return made
 
 
+def uncalibrated(bank: Bank) -> Bank:
+    """`bank` without the limits that were found for its exemplars, and without the evidence for them."""
+    if bank.calibration is None:
+        return bank
+    limits = {name: limit for name, limit in bank.limits.items() if name not in bank.calibration.checks}
+    provenance = {name: value for name, value in bank.provenance.items() if name != "calibrated"}
+    return replace(bank, limits=limits, calibration=None, provenance=provenance)
+
+
 def _frame(bounds: Array, unit: str) -> Frame:
     low, high = bounds[:, 0].min(0), bounds[:, 1].max(0)
     centre = (low + high) / 2
@@ -220,7 +229,7 @@ def _finished(
     if dict(bank.measured_by) != measured_by:
         now = replace(now, measured_by=measured_by, measured=measure_all(exemplars, measured_by, plugins))
     if limits is not None and dict(bank.limits) != limits:
-        now = replace(now, limits=limits)
+        now = replace(uncalibrated(now), limits=limits)
     return bank if now is bank else lamp.store_bank(now, path)
 
 

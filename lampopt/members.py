@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from lampopt import lamp
-from lampopt.bank import decoder_of, hashed, looked_at
+from lampopt.bank import decoder_of, hashed, looked_at, uncalibrated
 from lampopt.errors import BankError, InputError
 from lampopt.fitting import Fitting, InBox, probe_values, ranged
 from lampopt.measured import measure_each
@@ -87,8 +87,8 @@ def add_exemplars(
     with nullcontext() if path is None else Partial.open(path, plan) as partial:
         if path is not None and path.exists():  # another process has come to its end meanwhile
             return _finished(path, plan)
-        called, seed = bank.decoder.name, int(bank.provenance.get("seed", 0))
-        fitting = Fitting(decoder, called, seed, partial, *([progress] if progress else []))
+        called = bank.decoder.name
+        fitting = Fitting(decoder, called, _seed(bank), partial, *([progress] if progress else []))
         weights, error = fitting.fit(bank.shared, InBox(exemplars.meshes, exemplars.names, bank.frame), 1)
         values = probe_values(decoder, called, bank.shared, weights, bank.probes)
         if weights.shape[1] != bank.weights.shape[1] or values.shape[2] != bank.probe_values.shape[2]:
@@ -99,7 +99,7 @@ def add_exemplars(
         parameters = np.concatenate([bank.parameters, exemplars.parameters])
         labels = np.concatenate([bank.labels, exemplars.labels])
         grown = replace(
-            _uncalibrated(bank),
+            _told_uncalibrated(bank),
             space=ranged(bank.space, parameters),
             parameters=parameters,
             label_space=ranged(bank.label_space, labels),
@@ -156,7 +156,7 @@ def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | No
         return _finished(path, plan)
     gone = [name for name in bank.names if name in set(names)]
     left = replace(
-        _uncalibrated(bank),
+        _told_uncalibrated(bank),
         space=ranged(bank.space, bank.parameters[stay]),
         label_space=ranged(bank.label_space, bank.labels[stay]),
         names=tuple(bank.names[i] for i in stay),
@@ -219,13 +219,18 @@ def _expect_to_fit(bank: Bank, decoder: Decoder, bounds: Array, names: Sequence[
         )
 
 
-def _uncalibrated(bank: Bank) -> Bank:
-    """`bank` without the limits that were found for its exemplars as they were, and without the evidence."""
-    if bank.calibration is None:
-        return bank
-    log.warning("the bank's limits were calibrated for other exemplars: they are dropped; calibrate it again")
-    kept = {name: limit for name, limit in bank.limits.items() if name not in bank.calibration.checks}
-    return replace(bank, limits=kept, calibration=None)
+def _seed(bank: Bank) -> int:
+    """The seed that the bank was built with."""
+    seed = bank.provenance.get("seed", 0)
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise BankError(f"bank: expected a whole number as seed in its provenance, got {seed!r}: build it anew")
+    return seed
+
+
+def _told_uncalibrated(bank: Bank) -> Bank:
+    if bank.calibration is not None:
+        log.warning("the bank's limits were calibrated for other exemplars: they are dropped; calibrate it again")
+    return uncalibrated(bank)
 
 
 def _plan(bank: Bank, **change: object) -> str:
@@ -244,7 +249,7 @@ def _provenance(bank: Bank, plan: str, what: str, names: Sequence[str], meshes: 
     """The bank's own, with the change: who was added or removed, after those of earlier changes."""
     from importlib.metadata import version
 
-    known = {name: value for name, value in bank.provenance.items() if name != "calibrated"}
+    known = dict(uncalibrated(bank).provenance)
     before = [str(known[what])] if what in known else []
     known |= {"plan": plan, "lampopt": version("lampopt"), what: ", ".join([*before, *names])}
     if meshes:

@@ -7,7 +7,7 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -17,7 +17,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -203,7 +203,8 @@ def _judge(task: Task, target: Target, mix: Mix) -> _Answer:
 
 
 def _judge_there(setup: bytes, target: Target, mix: Mix) -> _Answer:
-    return _judge(_unpacked(setup), target, mix)
+    with _interruptible():
+        return _judge(_unpacked(setup), target, mix)
 
 
 def processes(count: int) -> Executor:
@@ -218,7 +219,7 @@ def processes(count: int) -> Executor:
 def _serve() -> None:
     from multiprocessing import parent_process
 
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it reaches the parent too, which says what is left
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # but see _interruptible
 
     def follow() -> None:
         if (parent := parent_process()) is not None:
@@ -226,6 +227,19 @@ def _serve() -> None:
             os._exit(1)
 
     threading.Thread(target=follow, daemon=True).start()
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Let Ctrl-C, which reaches workers too, stop a design; one stopped while it answers would leave us waiting."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # no process of ours
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _packed(task: Task, file: Path | None) -> bytes:

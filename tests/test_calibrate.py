@@ -280,3 +280,16 @@ def test_a_calibrated_bank_is_not_the_same_run(bank, made, tmp_path):
     two = design(made, {"length": 2.5}, plugins=PLUGINS)
     assert one.check("mismatch").limit != two.check("mismatch").limit
     assert Spec.of(bank.decoder) == made.decoder
+
+
+def test_limits_of_ones_own_end_the_calibration(boxes, tmp_path):
+    """Evidence and limits belong together: what `build_bank` is given replaces both; a plain build leaves both."""
+
+    def build(**options):
+        return small.bank(boxes, "cubic", probes=2000, plugins=PLUGINS, store=tmp_path / "a.lamp", **options)
+
+    calibrate(build(), 0.01, exemplars=boxes, store=tmp_path / "a.lamp", plugins=PLUGINS)
+    assert build().calibration is not None
+    mine = build(limits={"alpha": 1.0})
+    assert (mine.calibration, dict(mine.limits)) == (None, {"alpha": 1.0})
+    assert "calibrated" not in mine.provenance

@@ -245,7 +245,7 @@ def test_a_command_that_is_interrupted_says_how_to_go_on(study, tmp_path):
     """Ctrl-C in the shell: exit code 130, what is left, and the same command goes on."""
     with sweeping(study, tmp_path) as process:
         os.killpg(process.pid, signal.SIGINT)
-        said = process.communicate()[1]
+        said = process.communicate(timeout=120)[1]
     done = len(resume.table(tmp_path))
     if process.returncode not in (0, 1):  # it may have come to its end before
         assert process.returncode == 130, said
@@ -254,7 +254,7 @@ def test_a_command_that_is_interrupted_says_how_to_go_on(study, tmp_path):
         assert "the same command goes on where it stopped" in said
         assert "Traceback" not in said
     with sweeping(study, tmp_path) as process:
-        assert process.wait() in (0, 1)
+        assert process.wait(timeout=120) in (0, 1)
     assert len(resume.table(tmp_path)) == DESIGNS
 
 

@@ -23,7 +23,8 @@ from lampopt.units import filled
 def measure(name: str, mesh: Path, settings: tuple[str, ...], unit: str) -> Answer:
     """Measure a mesh file.
 
-    NAME is a measure; `lampopt plugins` lists them. MESH is an STL, OBJ, PLY, OFF or GLB file.
+    NAME is a measure; `lampopt plugins` lists them. MESH is a file that lampopt reads: STL, OBJ,
+    PLY, OFF, glTF, GLB, 3MF or COLLADA.
 
     \b
         lampopt measure extents car.stl
