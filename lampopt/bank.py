@@ -26,6 +26,7 @@ from lampopt.partial import Partial
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Progress, Shared
 from lampopt.types import Array, Bank, Exemplars, Frame, Scalar, Spec
+from lampopt.units import whole
 
 FILL = 0.6  # part of the box that the largest exemplar takes: the rest is room to extrapolate
 PROBES = 16384  # points where linearity is tested; about 2 % of them fall near the surface
@@ -89,7 +90,7 @@ def build_bank(
         raise InputError(f"exemplars: expected lampopt.types.Exemplars, got {exemplars!r:.80}")
     if measured is not None and not _texts(measured):
         raise InputError(f"measured: expected a mapping such as {{'length': 'extents.length'}}, got {measured!r:.80}")
-    seed, batch, probes = _whole("seed", seed, 0), _whole("batch", batch, 1), _whole("probes", probes, 1)
+    seed, batch, probes = whole(seed, "seed", 0), whole(batch, "batch", 1), whole(probes, "probes", 1)
     plugins = plugins or Plugins.load().report()
     spec = Spec.of(decoder)
     made: Decoder = plugins.make("decoder", spec)
@@ -147,12 +148,6 @@ def looked_at(exemplars: Exemplars, accept: Iterable[str], *, finished: bool, pr
 
 def _texts(value: object) -> bool:
     return isinstance(value, Mapping) and all(isinstance(t, str) for pair in value.items() for t in pair)
-
-
-def _whole(name: str, value: object, least: int) -> int:
-    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-        raise InputError(f"{name}: expected at least {least}, a whole number, got {value!r}")
-    return int(value)
 
 
 def _limits(limits: Mapping[str, float]) -> dict[str, float]:

@@ -13,29 +13,29 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
 from lampopt import lamp
-from lampopt.bank import decoder_of
+from lampopt.bank import decoder_of, hashed, uncalibrated
 from lampopt.check import Limits, alpha_checks, field_checks, mesh_checks
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError
+from lampopt.intake import intake
 from lampopt.metrics import surface_distance
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Progress, Solver
 from lampopt.solve import columns, pose, solve
 from lampopt.types import Array, Bank, Calibration, Check, Design, Exemplars, Spec
-from lampopt.units import number
+from lampopt.units import number, whole
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 SHARE = 1 / 3  # of the exemplars are held out: the outermost
 TRIALS = 64  # designs at least, as far as there are different ones
-MET = 1e-6  # how well a held-out exemplar's parameters are met, to be a fair question [half of the bank's range]
 TELLING = 0.75  # least area under the ROC curve of a check that decides
 BACKSTOP = 2.0  # times what was seen, for one that does not
 TRIES = 50  # draws of others that could meet them
@@ -80,14 +80,26 @@ def calibrate(
         If the tolerance is below what any held-out exemplar reaches, no exemplar can be made by others, or `exemplars`
         are not the bank's.
     """
+    if not isinstance(bank, Bank):
+        raise InputError(f"bank: expected a Bank, got {bank!r:.80}; load one with load_bank(path)")
+    if not isinstance(exemplars, Exemplars | None):
+        raise InputError(f"exemplars: expected Exemplars, got {exemplars!r:.80}")
+    seed, resolution = whole(seed, "seed", 0), whole(resolution, "resolution", 4, 4096)
     plugins = plugins or Plugins.load().report()
     allowed = number(tolerance, bank.frame.unit, "tolerance")
     if allowed <= 0:
         raise InputError(f"tolerance: expected a length above 0, got {allowed:g} {bank.frame.unit}")
     truth = lru_cache(maxsize=1)(_truth(bank, exemplars, decoder_of(bank, plugins), resolution))
     found = _evidence(bank, allowed, truth, solver, resolution, seed, progress, plugins)
-    limits = limits_from(found, Limits.of(replace(bank, limits={}), {}))
-    provenance = {**bank.provenance, "calibrated": f"{allowed:g} {bank.frame.unit} against {_against(exemplars)}"}
+    if found.good.all():
+        log.warning(
+            "no held-out design is off by more than %g %s, the worst by %.3g: nothing tells where designs go wrong, so "
+            "no limit is tighter than its default; a smaller tolerance would tell",
+            *(allowed, bank.frame.unit, found.errors.max()),
+        )
+    before = uncalibrated(bank)
+    limits = {**before.limits, **limits_from(found, Limits.of(replace(bank, limits={}), {}))}
+    provenance = {**before.provenance, "calibrated": f"{allowed:g} {bank.frame.unit} against {_against(exemplars)}"}
     made = replace(bank, limits=limits, calibration=found, provenance=provenance, path=None)
     return made if store is None else lamp.store_bank(made, Path(store))
 
@@ -101,9 +113,9 @@ def limits_from(found: Calibration, defaults: Limits) -> dict[str, float]:
 
     A check that tells bad designs from good ones gets the value at which the error, made to rise with the value
     (isotonic regression of its logarithm), passes the tolerance. One that does not is a backstop, at twice its default
-    or twice the largest value seen on a good design. A drift says how well a parameter is met, which is more than the
-    tolerance asks: it is looked at over designs that all others let through, and tightened only if bad ones are left
-    there; else good designs widen it.
+    or twice the largest value seen on a good design; without the factor where no design is bad at all. A drift says how
+    well a parameter is met, which is more than the tolerance asks: it is looked at over designs that all others let
+    through, and tightened only if bad ones are left there; else good designs widen it.
 
     Raises
     ------
@@ -113,8 +125,8 @@ def limits_from(found: Calibration, defaults: Limits) -> dict[str, float]:
     good, errors = found.good, found.errors
     if not good.any():
         raise InputError(
-            f"tolerance: {found.tolerance:g} is below the error of every held-out exemplar, the least of "
-            f"{len(errors)} is {np.nanmin(errors):.3g}: allow more, or fit the exemplars better"
+            f"tolerance: {found.tolerance:g} is below the error of every held-out exemplar, the least of {len(errors)} "
+            f"is {np.min(errors[~np.isnan(errors)], initial=np.inf):.3g}: allow more, or fit the exemplars better"
         )
     limits: dict[str, float] = {}
     left = np.ones(len(errors), bool)
@@ -128,7 +140,7 @@ def limits_from(found: Calibration, defaults: Limits) -> dict[str, float]:
         if telling:
             limits[name] = _passing(values[known], errors[known], found.tolerance)
         else:
-            limits[name] = seen if drift else BACKSTOP * seen
+            limits[name] = seen if drift or good.all() else BACKSTOP * seen
         left &= ~(values > limits[name])
     return {name: limits[name] for name in found.checks if name in limits}
 
@@ -170,7 +182,7 @@ def _evidence(
 ) -> Calibration:
     decoder, solving = decoder_of(bank, plugins), plugins.make("solver", solver)
     limits = Limits.of(replace(bank, limits={}), {})
-    trials = list(_trials(bank, solving, np.random.default_rng(seed)))
+    trials = list(_trials(bank, solving, limits["target"], np.random.default_rng(seed)))
     rows: list[Mapping[str, float]] = []
     errors = []
     for number_, (held, among) in enumerate(trials):
@@ -217,7 +229,7 @@ def _asked(bank: Bank, held: int) -> dict[str, float]:
     return {q.name: float(known[q.name].values[held]) for q in bank.space if q.spread > 0}
 
 
-def _trials(bank: Bank, solver: Solver, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
+def _trials(bank: Bank, solver: Solver, met: float, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
     """Which exemplar is held out, and by which others it is made: first by the inner ones, then by any that can."""
     held = _outermost(bank)
     if not len(held):
@@ -228,7 +240,7 @@ def _trials(bank: Bank, solver: Solver, rng: np.random.Generator) -> Iterator[tu
     for one in held:
         seen = set[tuple[int, ...]]()
         for among in _choices(bank, int(one), inner, rng):
-            if tuple(among) not in seen and _reaches(bank, int(one), among, solver):
+            if tuple(among) not in seen and _reaches(bank, int(one), among, solver, met):
                 seen.add(tuple(among))
                 count += 1
                 yield int(one), among
@@ -236,8 +248,8 @@ def _trials(bank: Bank, solver: Solver, rng: np.random.Generator) -> Iterator[tu
                 break
     if not count:
         raise InputError(
-            f"calibration: no exemplar can be made by others: expected more exemplars than parameters, got {len(bank)} "
-            f"with {len(_asked(bank, 0))}"
+            f"calibration: no exemplar can be made by others, so that its {len(_asked(bank, 0))} parameters are met: "
+            f"more exemplars than the {len(bank)} of this bank are needed, or a solver that meets targets"
         )
 
 
@@ -257,11 +269,12 @@ def _outermost(bank: Bank) -> Array:
     return np.flatnonzero(away >= least * (1 - 1e-9)) if least > 0 else np.empty(0, int)
 
 
-def _reaches(bank: Bank, held: int, among: Array, solver: Solver) -> bool:
+def _reaches(bank: Bank, held: int, among: Array, solver: Solver, met: float) -> bool:
+    """Whether `among` meet the parameters of `held` to `met` [half of the bank's range], as a design would have to."""
     if not len(among):
         return False
     mix = solve(pose(bank, _asked(bank, held), among=among), solver)
-    return bool(np.abs(mix.residual).max(initial=0.0) <= MET)
+    return bool(np.abs(mix.residual).max(initial=0.0) <= met)
 
 
 def _decoded(bank: Bank, decoder: Decoder, weights: Array, resolution: int) -> Trimesh | None:
@@ -273,14 +286,64 @@ def _decoded(bank: Bank, decoder: Decoder, weights: Array, resolution: int) -> T
 
 def _truth(bank: Bank, exemplars: Exemplars | None, decoder: Decoder, resolution: int) -> Callable[[int], Trimesh]:
     """The true mesh of each exemplar by number."""
-    if exemplars is None:
-        return lambda i: decode(bank, decoder, np.asarray(bank.weights[i]), resolution=resolution)
+    if exemplars is not None:
+        meshes = _same(bank, exemplars).meshes
+        return lambda i: meshes[i]
+
+    def decoded(i: int) -> Trimesh:
+        try:
+            return decode(bank, decoder, np.asarray(bank.weights[i]), resolution=resolution)
+        except EmptyMesh as error:
+            raise InputError(
+                f"exemplar {bank.names[i]!r}: {error}: give the exemplars that the bank was built from"
+            ) from error
+
+    return decoded
+
+
+def _same(bank: Bank, exemplars: Exemplars) -> Exemplars:
+    """`exemplars` in the order of `bank`, mended as they were when it was built; InputError if they are others."""
+    what = "exemplars: expected those that the bank was built from"
     if exemplars.unit != bank.frame.unit:
-        raise InputError(f"exemplars: expected unit {bank.frame.unit!r}, the bank's, got {exemplars.unit!r}")
+        raise InputError(f"{what}, in {bank.frame.unit!r}, got {exemplars.unit!r}")
     place = {name: i for i, name in enumerate(exemplars.names)}
     if missing := [name for name in bank.names if name not in place]:
-        raise InputError(f"exemplars: expected those of the bank, {', '.join(missing)} missing")
+        raise InputError(f"{what}, {', '.join(missing)} missing")
     rows = [place[name] for name in bank.names]
-    if not np.array_equal(exemplars.parameters[rows], bank.parameters):
-        raise InputError("exemplars: their parameters are not those that the bank was built from")
-    return lambda i: exemplars.meshes[rows[i]]
+    quantities = [(q.name, q.unit) for q in exemplars.space]
+    if quantities != [(q.name, q.unit) for q in bank.space] or not np.array_equal(
+        exemplars.parameters[rows], bank.parameters
+    ):
+        raise InputError(f"{what}, got other parameters")
+    chosen = replace(
+        exemplars,
+        parameters=exemplars.parameters[rows],
+        labels=exemplars.labels[rows],
+        names=bank.names,
+        meshes=_Chosen(exemplars.meshes, rows),
+    )
+    report = intake(chosen, accept="all", fellows=False, crossings=False)
+    report.refuse()
+    changed = {"added", "removed"} & set(bank.provenance)  # then the hash is not that of all meshes together
+    if not changed and bank.provenance.get("meshes") not in (None, hashed(report.facts.hashes)):
+        raise InputError(f"{what}, got other meshes under their names")
+    return report.exemplars
+
+
+class _Chosen(Sequence["Trimesh"]):
+    """Some of `meshes`, loaded when they are looked at."""
+
+    def __init__(self, meshes: Sequence[Trimesh], rows: Sequence[int]) -> None:
+        self._meshes, self._rows = meshes, rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @overload
+    def __getitem__(self, index: int) -> Trimesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> _Chosen: ...
+    def __getitem__(self, index: int | slice) -> Trimesh | _Chosen:
+        if isinstance(index, slice):
+            return _Chosen(self._meshes, self._rows[index])
+        return self._meshes[self._rows[index]]

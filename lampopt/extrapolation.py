@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import inf, log10, sqrt
 
 import numpy as np
 
@@ -17,9 +17,11 @@ from lampopt.plugins import Plugins
 from lampopt.protocols import Progress, Solver
 from lampopt.solve import column, pose, solve_many
 from lampopt.types import Array, Bank, Spec
+from lampopt.units import number, whole
 
 BATCH = 256  # targets that are solved together
 VALUES = 4_000_000  # of decoders at probes that are held at once
+MOST_FACTOR, MOST_COUNT = 1e3, 1_000_000
 PAPER = 0.01  # the paper's epsilon for the mismatch [box]
 
 
@@ -42,8 +44,9 @@ class Volume:
 
     @property
     def ratio(self) -> float:
-        """factor^d · share."""
-        return float(self.factor ** len(self.parameters) * self.share)
+        """factor^d · share, infinite where no number holds it."""
+        known = len(self.parameters) * log10(self.factor) < 300
+        return self.factor ** len(self.parameters) * self.share if known else inf * self.share
 
 
 def extrapolation_volume(
@@ -79,14 +82,17 @@ def extrapolation_volume(
     InputError
         If `f` or `count` is no positive number, or a parameter cannot be asked for.
     """
-    if isinstance(f, bool) or not isinstance(f, (int, float)) or not (isfinite(f) and f > 0):
-        raise InputError(f"f: expected a range factor above 0, such as 2, got {f!r}")
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise InputError(f"count: expected a whole number of draws, at least 1, got {count!r}")
+    if not isinstance(bank, Bank):
+        raise InputError(f"bank: expected a Bank, got {bank!r:.80}; load one with load_bank(path)")
+    f, count, seed = number(f, "", "f"), whole(count, "count", 1, MOST_COUNT), whole(seed, "seed", 0)
+    if not 0 < f <= MOST_FACTOR:
+        raise InputError(f"f: expected a range factor above 0 and at most {MOST_FACTOR:g}, such as 2, got {f:g}")
     plugins = plugins or Plugins.load().report()
+    if isinstance(parameters, str):
+        raise InputError(f"parameters: expected a list of names, got {parameters!r}")
     names = tuple(parameters) if parameters is not None else tuple(q.name for q in bank.space if q.spread > 0)
-    if not names:
-        raise InputError("parameters: expected at least one that differs over the bank, got none")
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"parameters: expected at least one that differs over the bank, each once, got {list(names)}")
     asked = [column(bank, name) for name in names]
     middle = np.array([c.low + c.spread / 2 for c in asked])
     half = np.array([c.spread / 2 for c in asked])
@@ -101,7 +107,7 @@ def extrapolation_volume(
             progress(done / count, f"{done:,} of {count:,} designs")
     if progress:
         progress(1.0, f"{count:,} designs")
-    return Volume(float(f), names, count, valid / count, _wilson(valid, count), linear / count, dict(rejected))
+    return Volume(f, names, count, valid / count, _wilson(valid, count), linear / count, dict(rejected))
 
 
 def _judged(
@@ -132,4 +138,4 @@ def _wilson(passed: int, count: int) -> tuple[float, float]:
     share, weight = passed / count, 1 / (1 + z * z / count)
     middle = weight * (share + z * z / (2 * count))
     reach = weight * z * sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return max(middle - reach, 0.0), min(middle + reach, 1.0)
+    return (0.0 if passed == 0 else middle - reach), (1.0 if passed == count else middle + reach)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from numbers import Real
+from numbers import Integral, Real
 
 from lampopt.errors import InputError
 
@@ -51,7 +51,8 @@ def _converted(value: float, unit: str, to: str, what: str) -> float:
     try:
         return float(registry.Quantity(value, unit or "dimensionless").to(to or "dimensionless").magnitude)
     except Exception as error:  # pint's parser raises whatever Python's tokenizer does
-        raise InputError(f"{what}: cannot bring [{_named(unit)}] to [{_named(to)}]: {error!r}") from error
+        why = str(error) if isinstance(error, pint.DimensionalityError) else repr(error)
+        raise InputError(f"{what}: cannot bring [{_named(unit)}] to [{_named(to)}]: {why}") from error
 
 
 def _plain(unit: str) -> bool:
@@ -93,3 +94,18 @@ def number(value: float | str, unit: str, what: str) -> float:
     except OverflowError:  # a whole number beyond any float
         pass
     raise InputError(f"{what}: expected a finite number or text such as '1420 mm', got {said(value)}")
+
+
+def whole(value: object, what: str, least: int, most: int | None = None) -> int:
+    """`value` as a whole number of at least `least` and at most `most`.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    given: object = value if isinstance(value, int) else int(value) if isinstance(value, Integral) else None
+    if isinstance(given, int) and not isinstance(given, bool) and least <= given and (most is None or given <= most):
+        return given
+    up_to = "" if most is None else f" and at most {most:,}"
+    raise InputError(f"{what}: expected at least {least}{up_to}, a whole number, got {said(value):.80}")

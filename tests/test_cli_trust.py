@@ -71,6 +71,24 @@ def test_what_cannot_be_is_told_and_nothing_is_written(file, tmp_path, capsys, t
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--set", "count=3"], "--set: belongs to --source"),
+        (["--out", "precious.csv"], "expected the name of a new .lamp file"),
+        (["--out", "there.lamp"], "expected the name of a new .lamp file"),
+    ],
+)
+def test_no_other_file_is_written_over(file, tmp_path, monkeypatch, capsys, options, message):
+    monkeypatch.chdir(tmp_path)
+    for name in ("precious.csv", "there.lamp"):
+        Path(name).write_text("mine")
+    code, said = as_json(capsys, "bank", "calibrate", file, "--tolerance", "30 mm", *options)
+    assert code == 2
+    assert message in said["error"]["message"]
+    assert {Path(name).read_text() for name in ("precious.csv", "there.lamp")} == {"mine"}
+
+
 def test_the_volume(file, capsys):
     code, said = as_json(capsys, "bank", "volume", file, "--factor", 1.5, "--count", 300, "--limit", "alpha=2")
     found = extrapolation_volume(load_bank(file), 1.5, 300, limits={"alpha": 2.0})

@@ -68,7 +68,7 @@ def test_a_closed_form_share():
 def test_same_seed_same_draws_and_another_seed_others():
     bank = small.bank(decoder="stretch-field")
     one, two, other = (extrapolation_volume(bank, 2.0, 400, seed=s, plugins=PLUGINS) for s in (0, 0, 1))
-    assert one == two
+    assert one == two == extrapolation_volume(bank, np.float32(2), np.int64(400), seed=0, plugins=PLUGINS)
     assert one != other
 
 
@@ -83,17 +83,28 @@ def test_progress_comes_to_its_end():
     ("arguments", "message"),
     [
         ({"f": 0}, "range factor above 0"),
-        ({"f": float("inf")}, "range factor above 0"),
-        ({"f": "2"}, "range factor above 0"),
-        ({"f": 2, "count": 0}, "at least 1"),
-        ({"f": 2, "count": 2.5}, "at least 1"),
+        ({"f": 1e60}, "at most 1000"),
+        ({"f": float("inf")}, "finite number"),
+        ({"f": "wide"}, "expected a number"),
+        ({"f": 2, "count": 0}, "count: expected at least 1"),
+        ({"f": 2, "count": 2.5}, "whole number"),
+        ({"f": 2, "count": 10**12}, "at most 1,000,000"),
+        ({"f": 2, "seed": -1}, "seed: expected at least 0"),
+        ({"f": 2, "seed": None}, "seed: expected at least 0"),
         ({"f": 2, "parameters": ()}, "at least one that differs"),
+        ({"f": 2, "parameters": ("length", "length")}, "each once"),
+        ({"f": 2, "parameters": "length"}, "a list of names"),
         ({"f": 2, "limits": {"mismatsch": 1}}, "unknown mismatsch"),
     ],
 )
 def test_what_cannot_be_asked(arguments, message):
     with pytest.raises(InputError, match=message):
         extrapolation_volume(small.bank(), **arguments, plugins=PLUGINS)
+
+
+def test_a_path_is_no_bank():
+    with pytest.raises(InputError, match=r"expected a Bank, got 'a\.lamp'; load one"):
+        extrapolation_volume("a.lamp", 2)
 
 
 def test_an_unknown_parameter_is_told():

@@ -12,6 +12,7 @@ from lampopt.calibrate import calibrate as calibrated
 from lampopt.cli.answer import Answer, Command
 from lampopt.cli.options import can_be_written, numbers, spec
 from lampopt.cli.show import number, table
+from lampopt.errors import InputError
 from lampopt.exemplars import exemplars
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.lamp import load_bank
@@ -49,6 +50,10 @@ def calibrate(
     \b
         lampopt bank calibrate cars.lamp --tolerance "5 mm" --source table --set table=cars.csv --set meshes=stl
     """
+    if settings and not source:
+        raise InputError("--set: belongs to --source, which is missing: name the source whose options these are")
+    if out is not None and (out.suffix != ".lamp" or (out.exists() and not (file.exists() and out.samefile(file)))):
+        raise InputError(f"--out {out}: expected the name of a new .lamp file, or BANK's own")
     can_be_written("--out", out or file)
     plugins = Plugins.load().report()
     bank = load_bank(file)

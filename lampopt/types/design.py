@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf, nextafter
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -79,6 +80,16 @@ class Check:
     note: str = ""
 
     def __post_init__(self) -> None:
+        for text in ("name", "unit", "note"):
+            if not isinstance(found := getattr(self, text), str):
+                raise InputError(f"check {self.name!r:.80}: expected text as {text}, got {found!r:.80}")
+        if self.needs not in LEVELS:
+            raise InputError(
+                f"check {self.name!r}: expected needs as one of {', '.join(LEVELS)}, got {self.needs!r:.80}"
+            )
+        assign(self, value=_number(self.value, self.name, "value"))
+        if self.limit is not None:
+            assign(self, limit=_number(self.limit, self.name, "limit"))
         if self.sense not in ("<=", ">=", "=", "info"):
             raise InputError(f"check {self.name!r}: expected sense <=, >=, = or info, got {self.sense!r}")
         if (self.limit is None) != (self.sense == "info"):
@@ -103,9 +114,18 @@ class Check:
             return 0.0
         if self.sense == "=" or self.limit <= 0 or not 0 < self.value < inf:
             return 0.0 if self.passed else inf
-        value, limit = float(self.value), float(self.limit)  # numpy's numbers would warn where a ratio is infinite
-        ratio = value / limit if self.sense == "<=" else limit / value
+        ratio = self.value / self.limit if self.sense == "<=" else self.limit / self.value
         return min(ratio, 1.0) if self.passed else max(ratio, nextafter(1.0, 2.0))
+
+
+def _number(value: object, name: str, what: str) -> float:
+    """`value`, one of numpy's perhaps, as a plain float."""
+    if not isinstance(value, (Real, np.bool_)):
+        raise InputError(f"check {name!r}: expected a number as {what}, got {value!r:.80}")
+    try:
+        return float(value)
+    except OverflowError as error:  # a whole number beyond any float
+        raise InputError(f"check {name!r}: expected a number as {what}, got one beyond any float") from error
 
 
 @dataclass(frozen=True, eq=False)
