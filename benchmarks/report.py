@@ -56,11 +56,18 @@ PROBE = """
   };
   const filled = () => pixels(() => true);
   const coloured = () => pixels((red, blue) => Math.abs(red - blue) > 40);
+  const crowded = () => all("svg.bars").flatMap((chart) => {  // words in a chart of bars that are cut or overlap
+    const boxes = [...chart.querySelectorAll("text")].map((text) => text.getBBox());
+    const apart = (a, b) => a.x + a.width < b.x || b.x + b.width < a.x || a.y + a.height < b.y || b.y + b.height < a.y;
+    const inside = (a) => a.x >= 0 && a.x + a.width <= chart.viewBox.baseVal.width;
+    return boxes.filter((a, i) => !inside(a) || boxes.slice(0, i).some((b) => !apart(a, b)));
+  }).length;
   const click = (what) => { const found = document.querySelector(what); if (found) found.click(); return !!found; };
   window.addEventListener("load", () => setTimeout(() => {
     const found = { images: all("img").length };
     found.broken = all("img").filter((image) => !image.complete || !image.naturalWidth).length;
     found.mapped = all("image[href^='data:']").length;
+    found.crowded = crowded();
     found.canvases = all("canvas").length;
     found.shape = filled();
     if (all(".card").length) all(".card").pop().click();  // the farthest out, where distances show
@@ -69,10 +76,13 @@ PROBE = """
     click("[data-mode=plain]");
     const titles = new Set();
     found.empty = 0;
+    found.uneven = all(".card").filter((c, i, list) => i && Math.abs(
+      c.firstElementChild.offsetTop - list[0].firstElementChild.offsetTop) > 1).length;
     for (const card of all(".card")) {
       card.click();
       titles.add(document.querySelector("#detail h3").textContent);
       if (card.querySelector("img") && !filled()) found.empty++;
+      found.crowded += crowded();
     }
     found.cards = all(".card").length;
     found.opened = titles.size;
@@ -87,6 +97,13 @@ PROBE = """
   }, 300));
 })();
 """
+
+# What the page's policy has to stop, and does where <html> bears no mark of it.
+STRANGERS = {
+    "script": "<script>document.documentElement.dataset.script = 1</script>",
+    "handler": '<img src="data:," onerror="document.documentElement.dataset.handler = 1">',
+    "source": '<script src="data:text/javascript,document.documentElement.dataset.source = 1"></script>',
+}
 
 
 def chromium() -> str | None:
@@ -137,6 +154,17 @@ def opened(report: Path, browser: str, *, screenshot: Path | None = None, height
     return {"console": messages, **(json.loads(found[1].replace("&amp;", "&")) if found else {"probe": "did not run"})}
 
 
+def strangers(report: Path, browser: str) -> list[str]:
+    """Which of the scripts that are put into a copy of `report`, as by a hostile name, do run there."""
+    text = report.read_text(encoding="utf-8").replace("</header>", f"{''.join(STRANGERS.values())}</header>", 1)
+    with tempfile.TemporaryDirectory() as place:
+        copy = Path(place) / "report.html"
+        copy.write_text(text, encoding="utf-8")
+        shown = _run(browser, Path(place), "--virtual-time-budget=8000", "--dump-dom", copy.as_uri()).stdout
+    marks = re.search(r"<html[^>]*>", shown)
+    return [name for name in STRANGERS if marks is None or f"data-{name}=" in marks[0]]
+
+
 def faults(found: dict[str, Any]) -> list[str]:
     """What is wrong with what `opened` found."""
     wrong = [f"console: {message}" for message in found["console"]]
@@ -144,7 +172,7 @@ def faults(found: dict[str, Any]) -> list[str]:
         return [*wrong, "the page did not come to its end"]
     if found["loaded"]:
         wrong.append(f"it asked for {found['loaded']}")
-    wrong += [f"{name}: {found[name]}" for name in ("broken", "empty") if found[name]]
+    wrong += [f"{name}: {found[name]}" for name in ("broken", "empty", "crowded", "uneven") if found[name]]
     wrong += [f"{name}: none" for name in ("images", "canvases", "shape") if not found[name]]
     if found["opened"] != found["cards"]:
         wrong.append(f"{found['opened']} of {found['cards']} designs open")
@@ -172,7 +200,7 @@ def main(given: Sequence[str] | None = None) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     report = swept(folder, lampopt.Spec(options.decoder), count=options.count, resolution=options.resolution)
     found = opened(report, browser, screenshot=options.screenshot)
-    wrong = faults(found)
+    wrong = [*faults(found), *(f"the policy lets it run: {name}" for name in strangers(report, browser))]
     document = {"report": str(report), "bytes": report.stat().st_size, **found, "wrong": wrong}
     sys.stdout.write(json.dumps(document, indent=2) + "\n")
     return 1 if wrong else 0

@@ -25,6 +25,7 @@ from lampopt.measured import measure_all
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Progress, Shared
+from lampopt.reading import path_of
 from lampopt.types import Array, Bank, Exemplars, Frame, Scalar, Spec
 from lampopt.units import whole
 
@@ -95,7 +96,7 @@ def build_bank(
     spec = Spec.of(decoder)
     made: Decoder = plugins.make("decoder", spec)
     limits = None if limits is None else _limits(limits)
-    path = Path(store) if store is not None else None
+    path = path_of(store, "store") if store is not None else None
     report = looked_at(exemplars, accept, finished=path is not None and path.exists(), progress=progress)
     exemplars, facts = report.exemplars, report.facts
     plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)

@@ -27,6 +27,7 @@ from lampopt.metrics import surface_distance
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Progress, Solver
+from lampopt.reading import path_of
 from lampopt.solve import columns, pose, solve
 from lampopt.types import Array, Bank, Calibration, Check, Design, Exemplars, Spec
 from lampopt.units import number, whole
@@ -101,7 +102,7 @@ def calibrate(
     limits = {**before.limits, **limits_from(found, Limits.of(replace(bank, limits={}), {}))}
     provenance = {**before.provenance, "calibrated": f"{allowed:g} {bank.frame.unit} against {_against(exemplars)}"}
     made = replace(bank, limits=limits, calibration=found, provenance=provenance, path=None)
-    return made if store is None else lamp.store_bank(made, Path(store))
+    return made if store is None else lamp.store_bank(made, path_of(store, "store"))
 
 
 def _against(exemplars: Exemplars | None) -> str:

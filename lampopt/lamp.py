@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lampopt.errors import BankError, InputError
-from lampopt.reading import brief, plain_file, why
+from lampopt.reading import brief, path_of, plain_file, why
 from lampopt.types import Array, Bank, Calibration, Frame, Parameter, Spec
 
 FORMAT = "lampopt bank"
@@ -184,7 +184,7 @@ def _mapped(path: Path, size: int, body: int, name: str, entry: Mapping[str, Any
 
 def store_bank(bank: Bank, path: str | Path) -> Bank:
     """Write `bank` to a `.lamp` file and return it as read from there."""
-    path = Path(path)
+    path = path_of(path, "store")
     arrays = {name: getattr(bank, name) for name in PLAIN} | {f"shared.{k}": v for k, v in bank.shared.items()}
     found = bank.calibration
     if found is not None:

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING
 
 from lampopt import lamp
 from lampopt.bank import decoder_of
-from lampopt.errors import BankError, LampoptError, MeasureError, StudyError, SweepError
+from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
 from lampopt.measured import values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Measure, Progress
-from lampopt.record import RunFolder
+from lampopt.reading import path_of, why
+from lampopt.record import RunFolder, recorded
 from lampopt.study import Reduce, Study, Value
-from lampopt.task import Designer, Task, contents
+from lampopt.task import Designer, Task, whole
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
 from lampopt.workers import judged, state
@@ -131,30 +132,31 @@ def sweep(
         If a worker is lost: what is finished is recorded, and the same sweep goes on with the rest.
     """
     _expect_study(study)
-    if executor is not None and not callable(getattr(executor, "submit", None)):
+    if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "submit", None))):
         raise StudyError(f"executor: expected one as in concurrent.futures, with submit, got {executor!r:.80}")
-    if isinstance(grid, Mapping):
-        study = replace(study, sweep=grid)
+    if grid is not None:  # tables have no place in a study
+        study = replace(study, sweep=grid if isinstance(grid, Mapping) else {})
     changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else _tables(grid)
     if not changes:
         raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, got none")
     return _results(Task.of(study, plugins), changes, folder, progress, executor, report)
 
 
-def results(folder: str | Path, *, plugins: Plugins | None = None) -> Iterator[Result]:
-    """Every result recorded in a run folder, in the order recorded.
+def results(folder: str | Path, *, every: bool = False, plugins: Plugins | None = None) -> Iterator[Result]:
+    """The results recorded in a run folder of the study that was asked last, in the order of its last sweep.
 
-    Nothing is computed: a mesh is read from its file when it is looked at; only one that is gone or was altered is
-    decoded again, and written anew where that can be. A folder that cannot be written, or is still being written, can
-    be read.
+    Designs that other studies left in the same folder are left out, which is said; `every` has them too. Nothing is
+    computed: a mesh is read from its file when it is looked at; only one that is gone or was altered is decoded again,
+    and written anew where that can be. A folder that cannot be written, or is still being written, can be read.
 
     Raises
     ------
     InputError
         If no run is recorded in `folder`, or what is recorded there is damaged.
     """
-    study = Study.read(Path(folder) / "study.toml")
-    return _recorded(Path(folder), study, study.opened(), plugins)
+    folder = path_of(folder, "folder")
+    study = Study.read(folder / "study.toml")
+    return _recorded(folder, study, study.opened(), plugins, every)
 
 
 def report(folder: str | Path, *, plugins: Plugins | None = None) -> Path:
@@ -165,16 +167,16 @@ def report(folder: str | Path, *, plugins: Plugins | None = None) -> Path:
     InputError
         As `results`, or if it cannot be written.
     """
-    study = Study.read(Path(folder) / "study.toml")
-    return _report(Path(folder), study, study.opened(), plugins)
+    folder = path_of(folder, "folder")
+    study = Study.read(folder / "study.toml")
+    return _report(folder, study, study.opened(), plugins)
 
 
-def _recorded(folder: Path, study: Study, bank: Bank, plugins: Plugins | None) -> Iterator[Result]:
+def _recorded(folder: Path, study: Study, bank: Bank, plugins: Plugins | None, every: bool = False) -> Iterator[Result]:
     def decoder() -> Decoder:
         return decoder_of(bank, plugins or Plugins.load().report())
 
-    with RunFolder.open_to_read(folder) as place:
-        yield from place.results(bank, Designer(bank, decoder, study.resolution))
+    return recorded(folder, bank, Designer(bank, decoder, study.resolution), every=every)
 
 
 def _report(folder: Path, study: Study, bank: Bank, plugins: Plugins | None) -> Path:
@@ -243,8 +245,9 @@ def _yield(
         if place is not None:
             file = _bank_file(task, place.folder)
             name = file.name if file.parent == place.folder else str(file.resolve())
-            place.write_study(replace(task.study, bank=name).to_toml())
-        elif executor is not None and _is_in_its_file(task):
+            keys = [task.key(target) for target in asked]
+            place.write_study(replace(task.study, bank=name).to_toml(), task.identity, keys)
+        elif executor is not None and task.bank.path is not None and _holds(task.bank.path, task.bank):
             file = task.bank.path
         with _said_when_stopped(task, asked, place), closing(judged(task, asked, place, executor, file)) as made:
             for number in range(len(asked)):
@@ -256,23 +259,28 @@ def _yield(
 
 
 def _bank_file(task: Task, folder: Path) -> Path:
-    """The file that holds the bank; one that is in none, or was altered since it was read, is stored in `folder`."""
-    if task.bank.path is not None and _is_in_its_file(task):
-        return task.bank.path
-    lamp.store_bank(task.bank, folder / "bank.lamp")
-    return folder / "bank.lamp"
+    """The file that holds the bank; one that is in none, or was altered since it was read, is stored in `folder`.
 
-
-def _is_in_its_file(task: Task) -> bool:
-    """Whether its file still holds the bank, which may have been altered in memory since."""
+    It is named after what it holds: another bank's rows in the same folder go on having theirs.
+    """
     bank = task.bank
-    if bank.path is None or not isinstance(task.study.bank, Bank):  # else it was read from there just now
-        return bank.path is not None
+    read_just_now = not isinstance(task.study.bank, Bank)
+    if bank.path is not None and (read_just_now or _holds(bank.path, bank)):
+        return bank.path
+    file = folder / f"bank-{whole(bank)}.lamp"
+    if not _holds(file, bank):
+        if file.exists():
+            raise InputError(f"{file}: is not the bank that its name tells: remove it, and it is written anew")
+        lamp.store_bank(bank, file)
+    return file
+
+
+def _holds(file: Path, bank: Bank) -> bool:
+    """Whether `file` holds `bank`, which may have been altered in memory since it was read from there."""
     try:
-        stored = lamp.load_bank(bank.path)
+        return whole(lamp.load_bank(file)) == whole(bank)
     except BankError:
         return False
-    return contents(stored) == contents(bank) and stored.provenance == bank.provenance
 
 
 @contextmanager
@@ -293,4 +301,5 @@ def _report_if_possible(task: Task, folder: Path) -> None:
     try:
         _report(folder, Study.read(folder / "study.toml"), task.bank, task.plugins)
     except Exception as error:  # noqa: BLE001  # whatever a picture or a chart fails of
-        log.warning("%s: the report is not written: %r; `lampopt report` tries again", folder, error)
+        kind = "" if isinstance(error, LampoptError) else f"{type(error).__name__}: "
+        log.warning("%s: the report is not written: %s%s; `lampopt report` tries again", folder, kind, why(error))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 FOLLOWS = 0.9  # least R² of a declared measurement against its parameter
+APART = 1e-3  # of a parameter's spread, the least that the others must leave of it to be told apart
 
 
 def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: Plugins) -> Array:
@@ -32,7 +33,7 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
     values = measure_each(exemplars, measured_by, plugins)
     index = {q.name: i for i, q in enumerate(exemplars.space)}
     for (parameter, address), column in zip(measured_by.items(), values.T, strict=True):
-        r2 = _follows(exemplars.parameters, index[parameter], column)
+        r2 = follows(exemplars.parameters, index[parameter], column)
         if r2 < FOLLOWS:
             raise InputError(
                 f"measured: {address!r} does not follow parameter {parameter!r} over the exemplars (R² {r2:.2f}, "
@@ -95,7 +96,7 @@ def values_of(name: str, measure: Measure, mesh: Trimesh) -> Array:
     return values
 
 
-def _follows(parameters: Array, index: int, values: Array) -> float:
+def follows(parameters: Array, index: int, values: Array) -> float:
     """R² of `values` (N,) on one parameter, both freed of what the other parameters explain where N allows.
 
     A car's bounding width follows its width parameter, though its greenhouse moves it too.
@@ -110,6 +111,32 @@ def _follows(parameters: Array, index: int, values: Array) -> float:
     rest = [v - others @ np.linalg.lstsq(others, v, rcond=None)[0] for v in rest]
     size = float(np.linalg.norm(rest[0]) * np.linalg.norm(rest[1]))
     return float(rest[0] @ rest[1] / size) ** 2 if size > 0 else 0.0
+
+
+def following_ratio(parameters: Array, index: int, values: Array) -> float:
+    """By how much `values` (N,) change with one of `parameters` (N, d), by least squares [value's unit / parameter's].
+
+    The other parameters' share is taken out, as far as the N exemplars tell them from this one; where they do not, all
+    of the change is this one's. 0 where the parameter has no spread.
+
+    Parameters
+    ----------
+    parameters
+        (N, d) [each in its unit], of N ≥ 1 exemplars.
+    index
+        Which of the d.
+    values
+        (N,) what is measured for it on the exemplars [any unit], finite.
+    """
+    spread = np.ptp(parameters, axis=0)
+    if spread[index] == 0:
+        return 0.0
+    scaled = (parameters - parameters.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    own, others = scaled[:, index], np.delete(scaled, index, 1)
+    alone = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
+    if np.linalg.norm(alone) < APART * np.linalg.norm(own):
+        alone = own
+    return float(alone @ (values - values.mean()) / (alone @ own) / spread[index])
 
 
 def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:

@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from lampopt import lamp
-from lampopt.bank import decoder_of, hashed, looked_at, uncalibrated
+from lampopt.bank import FILL, decoder_of, hashed, uncalibrated
 from lampopt.errors import BankError, InputError
 from lampopt.fitting import Fitting, InBox, probe_values, ranged
-from lampopt.measured import measure_each
+from lampopt.intake import ALL, Intake, intake, newcomers
+from lampopt.measured import measure_each, resolve_address
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Progress
+from lampopt.reading import path_of
 from lampopt.types import Array, Bank, Exemplars, Parameter, Scalar
 
-ROOM = 0.05  # least part of the box, on each side, that a new exemplar leaves free
 log = logging.getLogger("lampopt")
 
 
@@ -48,7 +49,8 @@ def add_exemplars(
     store
         The `.lamp` file to write. An interrupted addition of the same exemplars is resumed; a finished one is loaded.
     accept
-        Names of exemplars that intake doubts and that are meant to be as they are, or "all".
+        Names of exemplars that intake doubts and that are meant to be as they are, or "all". It doubts also what the
+        bank's own do not lead to expect: of measured values, size, bodies and genus.
     progress
         Told how far it is.
     plugins
@@ -57,7 +59,8 @@ def add_exemplars(
     Raises
     ------
     InputError
-        If they do not belong into this bank: another name, parameter, unit, or a mesh too large for its frame.
+        If they do not belong into this bank: another name, parameter or unit; or naming every exemplar that intake
+        refuses or doubts, that is too large for the bank's frame, or unlike its own.
     FitError
         Naming the exemplar that cannot be fitted, and why.
     BankError
@@ -69,9 +72,8 @@ def add_exemplars(
     exemplars = _in_order_of(bank, exemplars)
     plugins = plugins or Plugins.load().report()
     decoder = decoder_of(bank, plugins)
-    report = looked_at(exemplars, accept, finished=False, progress=progress)
+    report, measured = _looked_at(bank, decoder, exemplars, accept, progress, plugins)
     exemplars, facts = report.exemplars, report.facts
-    _expect_to_fit(bank, decoder, facts.bounds, exemplars.names)
     inputs = {
         "meshes": facts.hashes,
         "names": exemplars.names,
@@ -80,10 +82,9 @@ def add_exemplars(
         "decoder": f"{bank.decoder!r} of {plugins.get('decoder', bank.decoder.name)}",
     }
     plan = _plan(bank, added=inputs)
-    path = Path(store) if store is not None else None
+    path = path_of(store, "store") if store is not None else None
     if path is not None and path.exists():
         return _finished(path, plan)
-    measured = measure_each(exemplars, bank.measured_by, plugins)
     with nullcontext() if path is None else Partial.open(path, plan) as partial:
         if path is not None and path.exists():  # another process has come to its end meanwhile
             return _finished(path, plan)
@@ -151,7 +152,7 @@ def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | No
     if not stay:
         raise InputError(f"names: expected at least one of the {len(bank)} exemplars to stay, got all of them")
     plan = _plan(bank, removed=sorted(set(names)))
-    path = Path(store) if store is not None else None
+    path = path_of(store, "store") if store is not None else None
     if path is not None and path.exists():
         return _finished(path, plan)
     gone = [name for name in bank.names if name in set(names)]
@@ -167,12 +168,7 @@ def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | No
         provenance=_provenance(bank, plan, "removed", gone),
         path=None,
     )
-    if path is None:
-        return left
-    with Partial.open(path, plan) as partial:
-        left = lamp.store_bank(left, path)
-        partial.remove()
-        return left
+    return left if path is None else lamp.store_bank(left, path)
 
 
 def _expect_bank(bank: object) -> None:
@@ -204,19 +200,47 @@ def _in_order_of(bank: Bank, exemplars: Exemplars) -> Exemplars:
     )
 
 
-def _expect_to_fit(bank: Bank, decoder: Decoder, bounds: Array, names: Sequence[str]) -> None:
-    """Refuse meshes that the box of the decoder would cut, or nearly."""
-    low, high = np.asarray(decoder.bounds, float)
-    room = ROOM * (high - low)
-    at = (bounds - bank.frame.centre) * bank.frame.scale  # (n, 2, 3) in the box
-    outside = (at[:, 0] < low + room).any(1) | (at[:, 1] > high - room).any(1)
-    if outside.any():
-        least, most = ((corner / bank.frame.scale + bank.frame.centre) for corner in (low + room, high - room))
+def _looked_at(
+    bank: Bank,
+    decoder: Decoder,
+    exemplars: Exemplars,
+    accept: Iterable[str],
+    progress: Progress | None,
+    plugins: Plugins,
+) -> tuple[Intake, Array]:
+    """The intake of newcomers, by themselves and against the bank, and their measured values (n, p).
+
+    All that stands in the way is told in one message.
+    """
+    tell = progress and (lambda _, message="": progress(0.0, message))
+    report = intake(exemplars, accept=accept, progress=tell)
+    by_bank = [f for f in report.findings if f.kind != "size"]  # sizes are held against the bank's, not each other's
+    report = replace(report, findings=tuple(by_bank))
+    told = [*newcomers.fitting(bank, decoder.bounds, report.health), *newcomers.shaped(bank, report.health)]
+    usable = report.exemplars
+    try:
+        measured = measure_each(usable, bank.measured_by, plugins)
+    except InputError:
+        replace(report, findings=(*report.findings, *told)).refuse()  # which may be why
+        raise
+    odd = list(newcomers.measured(bank, usable.names, usable.parameters, measured))
+    lengths = any(_is_length(address, plugins) for address in bank.measured_by.values())
+    known = set(usable.names) - {finding.exemplar for finding in odd} if lengths else set()
+    told += [*newcomers.sized(bank, FILL / bank.frame.scale, report.health, known), *odd]
+    told = sorted([*report.findings, *told], key=lambda f: [*exemplars.names, ""].index(f.exemplar))
+    report = replace(report, findings=tuple(told))
+    report.refuse()
+    rows = [i for i, name in enumerate(usable.names) if accept != ALL and name not in report.accepted]
+    if rows and (wrong := list(newcomers.unfollowed(bank, usable.parameters[rows], measured[rows]))):
         raise InputError(
-            f"{_listed(name for name, bad in zip(names, outside, strict=True) if bad)}: too large for this bank, where "
-            f"meshes lie between {np.round(least, 6).tolist()} and {np.round(most, 6).tolist()} {bank.frame.unit}: "
-            "build the bank anew with them among the exemplars"
+            f"measured: with these exemplars {'; '.join(wrong)}: their table or their meshes are wrong, or accept them"
         )
+    return report, measured
+
+
+def _is_length(address: str, plugins: Plugins) -> bool:
+    _, measure, place = resolve_address(address, plugins)
+    return measure.units[place].startswith("L")
 
 
 def _seed(bank: Bank) -> int:

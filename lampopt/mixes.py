@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from lampopt.protocols import Solver
@@ -32,20 +33,15 @@ class Mixes:
 
     def __init__(self, posed: Callable[[Target], Posed], solver: Solver, asked: Sequence[Target]) -> None:
         self._posed, self._solver, self._asked = posed, solver, asked
+        self._batches = list(_batches(asked))
         self._batch, self._solved = range(0), list[tuple[Posed, Mix]]()
 
     def at(self, number: int) -> tuple[Posed, Mix]:
         """The problem of one target, and its mix."""
         if number not in self._batch:
-            self._batch = next(batch for batch in self._batches() if number in batch)
+            self._batch = self._batches[bisect_right(self._batches, number, key=lambda batch: batch.start) - 1]
             self._solved = self._together([self._asked[i] for i in self._batch])
         return self._solved[number - self._batch.start] if self._solved else self._alone(self._asked[number])
-
-    def _batches(self) -> Iterator[range]:
-        """Neighbours that ask for the same names, `BATCH` at most."""
-        for _, same in itertools.groupby(range(len(self._asked)), key=lambda i: tuple(self._asked[i])):
-            found = list(same)
-            yield from (range(first, min(first + BATCH, found[-1] + 1)) for first in found[::BATCH])
 
     def _together(self, targets: Sequence[Target]) -> list[tuple[Posed, Mix]]:
         """The whole batch, or nothing where that is of no use."""
@@ -57,3 +53,10 @@ class Mixes:
     def _alone(self, target: Target) -> tuple[Posed, Mix]:
         posed = self._posed(target)
         return posed, solve(posed, self._solver)
+
+
+def _batches(asked: Sequence[Target]) -> Iterator[range]:
+    """Neighbours that ask for the same names, `BATCH` at most."""
+    for _, same in itertools.groupby(range(len(asked)), key=lambda i: tuple(asked[i])):
+        found = list(same)
+        yield from (range(first, min(first + BATCH, found[-1] + 1)) for first in found[::BATCH])

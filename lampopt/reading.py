@@ -17,6 +17,13 @@ def brief(value: object) -> str:
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 
+def path_of(value: object, what: str) -> Path:
+    """`value` as a Path. Raises InputError naming `what` where it is none, or no file can be called so."""
+    if not isinstance(value, str | Path) or not str(value) or "\0" in str(value):
+        raise InputError(f"{what}: expected a path, got {brief(repr(value))}")
+    return Path(value)
+
+
 def plain_file(path: object, *, kind: str = "file", largest: int | None = None) -> Path:
     """`path` as a Path, if a plain file is there that is at most `largest` bytes long.
 

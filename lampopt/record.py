@@ -10,69 +10,37 @@ written aside and renamed, the row comes last, so a run that is killed at any mo
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import os
 import re
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from lampopt.database import readable, said, writable
+from lampopt.database import Reader, said, writable
 from lampopt.errors import InputError
-from lampopt.meshfile import FORMATS, load_mesh
-from lampopt.types import Bank, Check, Conflict, Design, Mix, Result, Scalar
+from lampopt.meshfile import FORMATS
+from lampopt.reading import brief, path_of, why
+from lampopt.rows import read_checks, read_conflicts, read_provenance, read_target, written_checks
+from lampopt.types import Bank, Design, Mix, Result, Scalar
+from lampopt.written import MeshFile, digest_of, replace_text, write_mesh
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+COLUMNS = "key, target, alpha, residual, status, message, conflicts, checks, provenance, mesh, digest"
+PAGE = 256  # designs that are held while a run is read
 KEY = re.compile(r"[0-9a-f]{24}")  # of a design; nothing else is taken from a database for the name of a folder
+ASIDE = re.compile(r"(study\.toml|report\.html|bank(-\w+)?\.lamp)(\.\d+)?\.writing")  # what is being written
+ASIDE_DESIGN = re.compile(r"[0-9a-f]{24}(\.\d+\.mesh)?\.writing")
 log = logging.getLogger("lampopt")
-
-
-@dataclass(frozen=True)
-class MeshFile:
-    """The file of a recorded design's mesh, which may be gone or no longer what was written."""
-
-    path: Path
-    digest: str | None  # of the bytes written; None in rows of schema 1
-    passport: Callable[[], str]
-
-    def read(self) -> Trimesh | None:
-        """The mesh; None if the file is gone or, which is said, not what was written."""
-        try:
-            if not self.path.exists():
-                return None
-            if self.digest is not None and _digest(self.path) != self.digest:
-                raise InputError(f"mesh {self.path}: is not what was written")
-            return load_mesh(self.path)
-        except (OSError, InputError) as error:
-            log.warning("%s; it is decoded again", error)
-            return None
-
-    def restore(self, mesh: Trimesh) -> None:
-        """Write the file and the passport beside it anew; says so where that cannot be."""
-        aside = self.path.parent.with_name(f"{self.path.parent.name}.{os.getpid()}.mesh.writing")
-        try:
-            _write_mesh(mesh, aside, self.path.suffix[1:])
-            if self.digest not in (None, _digest(aside)):
-                log.warning("%s: decodes to another mesh than was recorded, by other versions; not written", self.path)
-                return
-            self.path.parent.mkdir(exist_ok=True)
-            os.replace(aside, self.path)
-            _replace(self.path.with_name("passport.json"), self.passport())
-        except OSError as error:
-            log.warning("%s: cannot be written anew: %s", self.path, error)
-        finally:
-            with suppress(OSError):
-                aside.unlink(missing_ok=True)
 
 
 class Rebuild(Protocol):
@@ -103,7 +71,7 @@ class RunFolder:
         """
         from filelock import FileLock, Timeout
 
-        folder = Path(folder)
+        folder = path_of(folder, "folder")
         try:
             (folder / "designs").mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -124,26 +92,22 @@ class RunFolder:
         finally:
             lock.release()
 
-    @classmethod
-    @contextmanager
-    def open_to_read(cls, folder: str | Path) -> Iterator[RunFolder]:
-        """Open `folder` without its lock, and without writing to it.
+    def write_study(self, text: str, task: str, keys: Iterable[str]) -> None:
+        """Keep what was asked, its identity, which its designs have, and their keys in order.
 
         Raises
         ------
         InputError
-            If no run is recorded there, or its database is of a newer schema or damaged.
+            If it cannot be written.
         """
-        folder = Path(folder)
-        with readable(folder / "runs.sqlite") as database:
-            yield cls(folder, database)
+        with _writing(self.folder), said(self._file), self.database:
+            self.database.execute("DELETE FROM asked")
+            self.database.execute("INSERT INTO asked VALUES (?)", (task,))
+            self.database.execute("DELETE FROM sweep")
+            self.database.executemany("INSERT INTO sweep (key) VALUES (?)", ((key,) for key in keys))
+            replace_text(self.folder / "study.toml", text)
 
-    def write_study(self, text: str) -> None:
-        """Keep what was asked. Raises InputError if it cannot be written."""
-        with _writing(self.folder):
-            _replace(self.folder / "study.toml", text)
-
-    def write(self, key: str, result: Result, bank: Bank, *, form: str, seconds: float) -> Result:
+    def write(self, key: str, result: Result, bank: Bank, *, task: str, form: str, seconds: float) -> Result:
         """Put a result on disk: mesh and passport where a mesh was made, then the row. Returns it with its folder.
 
         Raises
@@ -159,7 +123,7 @@ class RunFolder:
                 digest = _put(folder, mesh, form, _passport(result, bank))
         with said(self._file), self.database:
             self.database.execute(
-                "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?)",
+                "INSERT OR REPLACE INTO designs VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
                 (
                     key,
                     json.dumps(dict(design.target)),
@@ -168,12 +132,13 @@ class RunFolder:
                     design.mix.status,
                     design.mix.message,
                     json.dumps([[conflict.names, conflict.amounts.tolist()] for conflict in design.mix.conflicts]),
-                    json.dumps([_as_row(check) for check in result.checks]),
+                    written_checks(result.checks),
                     int(result.accepted),
                     json.dumps(dict(result.provenance)),
                     f"mesh.{form}" if mesh is not None else None,
                     seconds,
                     digest,
+                    task,
                 ),
             )
         return replace(result, folder=folder)
@@ -195,51 +160,8 @@ class RunFolder:
             If what is recorded there is damaged.
         """
         with said(self._file):
-            row = self.database.execute(
-                "SELECT target, alpha, residual, status, message, conflicts, checks, provenance, mesh, digest "
-                "FROM designs WHERE key = ?",
-                (key,),
-            ).fetchone()
-        if row is None:
-            return None
-        try:
-            return self._decoded(key, row, bank, rebuild)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise InputError(
-                f"{self._file}: the row of design {key} is damaged: {error}; delete that row (DELETE FROM designs "
-                f"WHERE key = {key!r}) and it is made anew"
-            ) from error
-
-    def results(self, bank: Bank, rebuild: Rebuild) -> Iterator[Result]:
-        """Every result recorded of `bank`, in the order recorded; those of another bank are counted in a warning."""
-        with said(self._file):
-            rows = self.database.execute("SELECT key, alpha, provenance FROM designs ORDER BY rowid").fetchall()
-        foreign = 0
-        for key, alpha, provenance in rows:
-            if not _of(bank, alpha, provenance):
-                foreign += 1
-                continue
-            result = self.read(key, bank, rebuild)
-            if result is not None:
-                yield result
-        if foreign:
-            log.warning("%s: %d of %d designs are of another bank and left out", self.folder, foreign, len(rows))
-
-    def _decoded(self, key: str, row: tuple[Any, ...], bank: Bank, rebuild: Rebuild) -> Result:
-        target, alpha, residual, status, message, conflicts, checks, provenance, mesh, digest = row
-        if not (isinstance(key, str) and KEY.fullmatch(key)):
-            raise ValueError(f"expected a key of 24 hexadecimal digits, got {key!r:.80}")
-        if mesh is not None and mesh not in [f"mesh.{form}" for form in FORMATS]:
-            raise ValueError(f"expected a mesh file such as mesh.{FORMATS[0]}, got {mesh!r:.80}")
-        clashes = tuple(Conflict(tuple(names), np.array(amounts)) for names, amounts in json.loads(conflicts))
-        mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message, clashes)
-        place = self._place(key)
-        known = dict(json.loads(provenance))
-        file = None if mesh is None else MeshFile(place / mesh, digest, lambda: _passport(result, bank))
-        design = rebuild(json.loads(target), mix, file, known)
-        found = tuple(_from_row(check) for check in json.loads(checks))
-        result = Result(design, found, known, self.folder if mesh is None else place)
-        return result
+            row = self.database.execute(f"SELECT {COLUMNS} FROM designs WHERE key = ?", (key,)).fetchone()
+        return None if row is None else _read(self.folder, row, bank, rebuild)
 
     @property
     def _file(self) -> Path:
@@ -249,10 +171,84 @@ class RunFolder:
         return self.folder / "designs" / key
 
 
+def recorded(folder: Path, bank: Bank, rebuild: Rebuild, *, every: bool = False) -> Iterator[Result]:
+    """The results recorded in `folder`: of the study that was asked last, or of `every` one.
+
+    First come those that were asked for last, in that order, whichever of many workers was done first; then the others
+    as they were recorded.
+
+    What is yielded is what was recorded at the beginning, whatever another process writes meanwhile; it is read a page
+    at a time, without lock, and without writing. Designs of another bank than `bank` cannot be read with it: they and
+    those of other studies are counted in a warning. A design of schema 1 does not know its study, and is yielded.
+
+    Raises
+    ------
+    InputError
+        If no run is recorded there, its database is damaged or of a newer schema, or a row was deleted meanwhile.
+    """
+    reader = Reader(folder / "runs.sqlite")
+    listed = reader.rows(
+        "SELECT key, task IN ('', coalesce((SELECT task FROM asked), task)) FROM designs LEFT JOIN "
+        "(SELECT key, min(number) AS number FROM sweep GROUP BY key) USING (key) "
+        "ORDER BY number IS NULL, number, designs.rowid"
+    )
+    keys = [key for key, asked in listed if asked or every]
+    if others := len(listed) - len(keys):
+        log.warning(
+            "%s: %d of %d designs are of other studies and left out; results(folder, every=True) has them all",
+            folder,
+            others,
+            len(listed),
+        )
+    foreign = 0
+    for first in range(0, len(keys), PAGE):
+        page = keys[first : first + PAGE]
+        marks = ",".join("?" * len(page))
+        rows = {row[0]: row for row in reader.rows(f"SELECT {COLUMNS} FROM designs WHERE key IN ({marks})", page)}
+        for key in page:
+            if key not in rows:
+                raise InputError(f"{folder}: design {key!r:.80} was deleted while the run is read; read it again")
+            if _of(bank, rows[key]):
+                yield _read(folder, rows[key], bank, rebuild)
+            else:
+                foreign += 1
+    if foreign:
+        log.warning("%s: %d of %d designs are of another bank and left out", folder, foreign, len(listed))
+
+
+def _read(folder: Path, row: tuple[Any, ...], bank: Bank, rebuild: Rebuild) -> Result:
+    try:
+        return _decoded(folder, row, bank, rebuild)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
+        raise InputError(
+            f"{folder / 'runs.sqlite'}: the row of design {brief(row[0])} is damaged: {why(error)}; delete that row "
+            f"(DELETE FROM designs WHERE key = {row[0]!r:.80}) and it is made anew"
+        ) from error
+
+
+def _decoded(folder: Path, row: tuple[Any, ...], bank: Bank, rebuild: Rebuild) -> Result:
+    key, target, alpha, residual, status, message, conflicts, checks, provenance, mesh, digest = row
+    if not (isinstance(key, str) and KEY.fullmatch(key)):
+        raise ValueError(f"expected a key of 24 hexadecimal digits, got {key!r:.80}")
+    if mesh is not None and mesh not in [f"mesh.{form}" for form in FORMATS]:
+        raise ValueError(f"expected a mesh file such as mesh.{FORMATS[0]}, got {mesh!r:.80}")
+    if not isinstance(message, str):
+        raise ValueError(f"expected a text as message, got {message!r:.80}")
+    mix = Mix(np.frombuffer(alpha), np.frombuffer(residual), status, message, read_conflicts(conflicts))
+    place = folder / "designs" / key
+    known = read_provenance(provenance)
+    file = None if mesh is None else MeshFile(place / mesh, digest, lambda: _passport(result, bank))
+    design = rebuild(read_target(target), mix, file, known)
+    result = Result(design, read_checks(checks), known, folder if mesh is None else place)
+    return result
+
+
 def _tidy(folder: Path) -> None:
     """Remove what killed runs were writing."""
     for left in (*folder.glob("*.writing"), *(folder / "designs").glob("*.writing")):
-        if left.is_dir() and left.parent != folder:
+        if not (ASIDE if left.parent == folder else ASIDE_DESIGN).fullmatch(left.name):
+            continue  # the user's own
+        if left.is_dir() and not left.is_symlink() and left.parent != folder:  # there it is files that are written
             shutil.rmtree(left)
         else:
             left.unlink(missing_ok=True)
@@ -265,8 +261,8 @@ def _put(folder: Path, mesh: Trimesh, form: str, text: str) -> str:
         shutil.rmtree(aside, ignore_errors=True)
         aside.mkdir()
         file = aside / f"mesh.{form}"
-        _write_mesh(mesh, file, form)
-        digest = _digest(file)
+        write_mesh(mesh, file, form)
+        digest = digest_of(file)
         (aside / "passport.json").write_text(text, encoding="utf-8")
         shutil.rmtree(folder, ignore_errors=True)  # no row names it: left by a run that was killed
         os.replace(aside, folder)
@@ -275,8 +271,9 @@ def _put(folder: Path, mesh: Trimesh, form: str, text: str) -> str:
     return digest
 
 
-def _of(bank: Bank, alpha: Any, provenance: Any) -> bool:
+def _of(bank: Bank, row: tuple[Any, ...]) -> bool:
     """Whether a row was made from `bank`; one that is damaged passes, and is named when it is read."""
+    alpha, provenance = row[2], row[8]
     try:
         same = json.loads(provenance).get("bank.plan") == bank.provenance.get("plan")
         return (same and len(alpha) == 8 * len(bank)) or len(alpha) % 8 > 0
@@ -286,16 +283,6 @@ def _of(bank: Bank, alpha: Any, provenance: Any) -> bool:
 
 def _passport(result: Result, bank: Bank) -> str:
     return json.dumps(passport(result, bank), indent=2)
-
-
-def _as_row(check: Check) -> list[Any]:
-    value = None if check.value != check.value else check.value  # JSON knows no NaN
-    return [check.name, value, check.sense, check.limit, check.unit, check.needs, check.note]
-
-
-def _from_row(row: list[Any]) -> Check:
-    name, value, *rest = row
-    return Check(name, float("nan") if value is None else value, *rest)
 
 
 def passport(result: Result, bank: Bank) -> dict[str, Any]:
@@ -328,51 +315,10 @@ def passport(result: Result, bank: Bank) -> dict[str, Any]:
     }
 
 
-def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
-    """Write `mesh` to `path` in one step; the format is told by the suffix.
-
-    Raises
-    ------
-    InputError
-        If the format is unknown or the place cannot be written.
-    """
-    path = Path(path)
-    form = path.suffix.lower().lstrip(".")
-    if form not in FORMATS:
-        raise InputError(f"{path}: expected a file name ending in .{', .'.join(FORMATS)}")
-    aside = path.with_name(path.name + ".writing")
-    try:
-        _write_mesh(mesh, aside, form)
-        os.replace(aside, path)
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise InputError(f"{path}: cannot be written: {error}") from error
-    finally:
-        with suppress(OSError, ValueError):
-            aside.unlink(missing_ok=True)
-    return path
-
-
 @contextmanager
 def _writing(place: Path) -> Iterator[None]:
     """Say what cannot be written, and that nothing is lost by it."""
     try:
         yield
-    except OSError as error:
-        raise InputError(f"{place}: cannot be written: {error}; what is recorded there is kept") from error
-
-
-def _write_mesh(mesh: Trimesh, path: Path, form: str) -> None:
-    data: Any = mesh.export(file_type=form)  # not to the path itself: trimesh leaves that open where the disk is full
-    path.write_bytes(data.encode() if isinstance(data, str) else data)
-
-
-def _digest(path: Path) -> str:
-    """A hash of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-
-
-def _replace(path: Path, text: str) -> None:
-    aside = path.with_name(path.name + ".writing")
-    aside.write_text(text, encoding="utf-8")
-    os.replace(aside, path)
+    except (OSError, UnicodeError) as error:  # UnicodeError: a path with bytes in it that are no text
+        raise InputError(f"{place}: cannot be written: {why(error)}; what is recorded there is kept") from error

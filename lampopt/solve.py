@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lampopt.errors import PluginError, StudyError
+from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.protocols import Solver
+from lampopt.reading import brief
 from lampopt.types import Array, Bank, Conflict, Mix, MixBatch, Problem
 
 MET = "every target is met"
@@ -180,7 +181,10 @@ def solve(posed: Posed, solver: Solver) -> Mix:
         If the solver returns no mix of the exemplars that take part.
     """
     problem = posed.problem
-    mix: object = solver.solve(problem)
+    try:
+        mix: object = solver.solve(problem)
+    except InputError as error:  # from Mix: not finite, no sum of 1, a status that there is not
+        raise PluginError(f"solver {type(solver).__name__}: returned no mix that can be used: {error}") from error
     if not isinstance(mix, Mix) or mix.alpha.shape != problem.centre.shape:
         raise _no_mix(solver, Mix, problem.centre.shape, mix)
     mix = replace(mix, residual=problem.matrix @ mix.alpha - problem.target)
@@ -199,11 +203,17 @@ def solve_many(posed: Posed, targets: Sequence[Mapping[str, float]], solver: Sol
     """
     rows = np.array([[target[name] for name in posed.problem.names] for target in targets], float)
     normalised = posed.normalised(rows)
-    batch: object = solver.solve_many(posed.problem, normalised)
+    try:
+        batch: object = solver.solve_many(posed.problem, normalised)
+    except InputError as error:
+        raise PluginError(f"solver {type(solver).__name__}: returned no mixes that can be used: {error}") from error
     shape = (len(targets), *posed.problem.centre.shape)
     if not isinstance(batch, MixBatch) or batch.alpha.shape != shape:
         raise _no_mix(solver, MixBatch, shape, batch)
     alpha, residuals = posed.spread_out(batch.alpha), batch.alpha @ posed.problem.matrix.T - normalised
+    off = np.abs(batch.alpha.sum(1) - 1) > 1e-6 * np.maximum(1, np.abs(batch.alpha).sum(1))
+    if bad := np.flatnonzero(off).tolist():
+        raise PluginError(f"solver {type(solver).__name__}: expected mixes that sum to 1, got others for {brief(bad)}")
     return [
         Mix(mix, residual, status, MET)
         if status == "exact"

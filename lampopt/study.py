@@ -22,7 +22,7 @@ from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
 from lampopt.units import number, said
 
 Value = float | str
-LARGEST = 2**18  # bytes of a study
+LARGEST = 2**22  # bytes of a study: 100,000 values of a sweep take three quarters of it
 # A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
 
@@ -189,7 +189,7 @@ class Study:
         Raises
         ------
         StudyError
-            If its bank is in no file.
+            If its bank is in no file, or it is longer than what `read` reads.
         """
         import tomli_w
 
@@ -211,7 +211,13 @@ class Study:
                 document[item.name] = list(value) if isinstance(value, tuple) else value
         if self.objective is not None:
             document["objective"] = {"reduce": self.objective.name, "by": self.objective.by}
-        return tomli_w.dumps(document)
+        text = tomli_w.dumps(document)
+        if (length := len(text.encode(errors="surrogatepass"))) > LARGEST:
+            raise StudyError(
+                f"study: {length:,} bytes as TOML, of which at most {LARGEST:,} are read back: sweep parts of it, one "
+                "after the other, into the same folder"
+            )
+        return text
 
     @classmethod
     def from_toml(cls, text: str, *, folder: Path | None = None) -> Study:

@@ -21,10 +21,10 @@ from lampopt.errors import EmptyMesh, InputError, PluginError
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, Solver
-from lampopt.record import MeshFile
 from lampopt.solve import Posed, pose
 from lampopt.study import Study, Value
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
+from lampopt.written import MeshFile
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -201,6 +201,20 @@ def contents(bank: Bank) -> dict[str, object]:
         "limits": dict(bank.limits),
         "decoder": repr(bank.decoder),
     }
+
+
+def whole(bank: Bank) -> str:
+    """A hash of all that a bank's file holds."""
+    found = bank.calibration
+    evidence = None if found is None else [lamp.digest(getattr(found, name)) for name in lamp.EVIDENCE]
+    return _hash(
+        {
+            **contents(bank),
+            "ranges": [[q.low, q.high] for q in (*bank.space, *bank.label_space)],
+            "calibration": None if found is None else [found.tolerance, found.checks, evidence],
+            "provenance": dict(bank.provenance),
+        }
+    )
 
 
 @contextmanager

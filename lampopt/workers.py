@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import signal
@@ -17,7 +18,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -27,6 +28,7 @@ from typing import TYPE_CHECKING
 from lampopt.errors import LampoptError, PluginError, StudyError, SweepError
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
+from lampopt.reading import brief, why
 from lampopt.record import RunFolder
 from lampopt.study import Study
 from lampopt.task import Task
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Target = Mapping[str, float]
+PATIENCE = 1.0  # s between two looks at work that may have been cancelled
+log = logging.getLogger("lampopt")
+OURS = threading.Event()  # set in the processes that `processes` starts, and nowhere else
 
 
 def judged(
@@ -89,7 +94,7 @@ def state(task: Task, asked: Sequence[Target], place: RunFolder) -> str:
 def _keep(task: Task, place: RunFolder | None, key: str, result: Result, seconds: float) -> Result:
     if place is None:
         return result
-    result = place.write(key, result, task.bank, form=task.study.format, seconds=seconds)
+    result = place.write(key, result, task.bank, task=task.identity, form=task.study.format, seconds=seconds)
     task.plugins.recorded(result, result.folder or place.folder)
     return result
 
@@ -113,7 +118,8 @@ class _Ahead:
         self._task, self._asked, self._place, self._executor = task, asked, place, executor
         self._mixes = Mixes(task.posed, task.solver, asked)
         self._keys = [task.key(target) for target in asked] if place is not None else []
-        self._most = 2 * max(os.cpu_count() or 1, getattr(executor, "_max_workers", 1))
+        workers = getattr(executor, "_max_workers", 1)  # the standard library's have it
+        self._most = 2 * max(os.cpu_count() or 1, workers if isinstance(workers, int) else 1)
         # Threads share what is open; other processes open it for themselves, once.
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
         self._sent, self._next = dict[int, tuple[Future[_Answer], Mix]](), 0
@@ -148,16 +154,24 @@ class _Ahead:
     def _submit(self, target: Target, mix: Mix) -> Future[_Answer]:
         try:
             if self._setup is None:
-                return self._executor.submit(_judge, self._task, target, mix)
-            return self._executor.submit(_judge_there, self._setup, dict(target), mix)
-        except BrokenExecutor:
+                future: object = self._executor.submit(_judge, self._task, target, mix)
+            else:
+                future = self._executor.submit(_judge_there, self._setup, dict(target), mix)
+        except (BrokenExecutor, LampoptError):
             raise
-        except RuntimeError as error:
-            raise StudyError(f"executor: expected one that takes work, got one that does not: {error}") from error
+        except Exception as error:  # whatever a stranger's executor raises
+            raise StudyError(f"executor: expected one that takes work, got one that does not: {why(error)}") from error
+        if not isinstance(future, Future):
+            raise StudyError(
+                f"executor: expected one whose submit returns a concurrent.futures.Future, got {brief(repr(future))}"
+            )
+        return future
 
     def _take(self) -> None:
         """Wait for a design, and record all that are there, those beside one that failed too."""
-        wait([future for future, _ in self._sent.values()], return_when=FIRST_COMPLETED)
+        futures = [future for future, _ in self._sent.values()]
+        while not any(future.done() for future in futures):  # one that is cancelled in its queue wakes nobody
+            wait(futures, PATIENCE, FIRST_COMPLETED)
         self._keep_finished()
         for future, _ in self._sent.values():
             if future.done():
@@ -167,17 +181,21 @@ class _Ahead:
         for number, (future, mix) in list(self._sent.items()):
             if future.done() and not future.cancelled() and future.exception() is None:
                 del self._sent[number]
-                answer = future.result()
+                answer: object = future.result()
+                if not isinstance(answer, _Answer):
+                    raise StudyError(f"executor: expected what its work returned, got {brief(repr(answer))}")
                 result = _result(self._task, self._asked[number], mix, answer)
                 key = self._keys[number] if self._place is not None else ""
                 self._done[number] = _keep(self._task, self._place, key, result, answer.seconds)
 
     def _stop(self) -> None:
         """Ask for no more, and keep what has been finished meanwhile."""
-        for future, _ in self._sent.values():
-            future.cancel()
-        with suppress(LampoptError):  # something stopped it already, the same perhaps
+        try:
+            for future, _ in self._sent.values():
+                future.cancel()
             self._keep_finished()
+        except Exception as error:  # noqa: BLE001  # what stopped it counts, the same perhaps
+            log.info("a finished design is not kept: %s", why(error))
         self._sent.clear()
 
     def _read(self, number: int) -> Result:
@@ -219,6 +237,7 @@ def processes(count: int) -> Executor:
 def _serve() -> None:
     from multiprocessing import parent_process
 
+    OURS.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # but see _interruptible
 
     def follow() -> None:
@@ -232,7 +251,7 @@ def _serve() -> None:
 @contextmanager
 def _interruptible() -> Iterator[None]:
     """Let Ctrl-C, which reaches workers too, stop a design; one stopped while it answers would leave us waiting."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # no process of ours
+    if not OURS.is_set():  # what Ctrl-C does in somebody's own process is theirs to say
         yield
         return
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -254,10 +273,10 @@ def _packed(task: Task, file: Path | None) -> bytes:
     study = replace(task.study, bank=str(file.resolve())).to_toml()
     try:
         return pickle.dumps((study, task.identity, list(owners), extra))
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
+    except Exception as error:  # whatever a stranger's __reduce__ raises
         raise PluginError(
             f"executor: the plugins {', '.join(name for name, _ in extra)} are not installed and cannot be sent to "
-            f"other processes ({error}): install them, or use a ThreadPoolExecutor"
+            f"other processes ({why(error)}): install them, or use a ThreadPoolExecutor"
         ) from error
 
 

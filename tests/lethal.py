@@ -44,3 +44,16 @@ class Plugin:
 def differ():
     """Be of another version from now on."""
     lampopt.task.version = lambda name: "9"
+
+
+def interruptible():
+    """Whether Ctrl-C is ignored before, in and after a design."""
+    from lampopt.workers import _interruptible
+
+    def ignored():
+        return signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+    before = ignored()
+    with _interruptible():
+        inside = ignored()
+    return before, inside, ignored()

@@ -4,6 +4,7 @@ import importlib
 import io
 import json
 import os
+import re
 import socket
 import struct
 import subprocess
@@ -17,14 +18,15 @@ import trimesh
 
 from lampopt import Exemplars, Parameter, Study, exemplars, load_bank
 from lampopt.errors import BankError, InputError, LampoptError, PluginError, StudyError
-from lampopt.meshfile import SUFFIXES, load_mesh
+from lampopt.meshfile import SUFFIXES, guards, load_mesh, placing
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [p for p in (str(ROOT),) if p not in sys.path]
 hostile = importlib.import_module("benchmarks.hostile")
 mutate = importlib.import_module("benchmarks.mutate")
+parquet = importlib.import_module("lampopt_datasets.parquet")
 thrift = importlib.import_module("lampopt_datasets.thrift")
-RAW = Path("/work/shared/data/cars/raw")
+RAW = ROOT.parent / "shared" / "data" / "cars" / "raw"
 FACES = 80  # of the seeds' ball
 
 
@@ -109,7 +111,7 @@ def test_a_mesh_cut_short_is_never_taken_for_a_smaller_one(good, tmp_path, name)
             assert path.suffix == ".obj" or len(found.faces) == len(whole.faces)
 
 
-@pytest.mark.skipif(not RAW.is_dir(), reason="no raw car files here")
+@pytest.mark.skipif(not RAW.is_dir(), reason="no folder cars/raw in ../shared/data, beside the repository")
 def test_a_collada_file_of_a_real_car():
     car = load_mesh(RAW / "pickup.dae")
     assert len(car.faces) == 780 + 304  # what its two <triangles> count
@@ -425,6 +427,54 @@ def test_collada_that_lies(good, tmp_path, change, match):
     refused(tmp_path / "a.dae", match)
 
 
+def test_as_many_elements_as_documented_and_one_more(good, tmp_path):
+    text = good[".dae"].decode()
+    room = 200_000 - len(re.findall(r"<[A-Za-z]", text))
+    filled = (text.replace("</asset>", "<extra/>" * n + "</asset>").encode() for n in (room, room + 1))
+    assert guards.collada(next(filled)) == FACES
+    (tmp_path / "a.dae").write_bytes(next(filled))
+    refused(tmp_path / "a.dae", "expected at most 200,000 elements, got more")
+
+
+def test_as_many_triangles_by_placing_as_documented_and_some_more(good, tmp_path):
+    """A part of 80 triangles counts 320, with the corners: 1562 times come to less than half a million, 1563 do not."""
+    text = good[".dae"].decode()
+    (once,) = re.findall(r"<instance_geometry.*?</instance_geometry>|<instance_geometry[^>]*/>", text, re.DOTALL)
+    filled = (text.replace(once, once * n).encode() for n in (1562, 1563))
+    assert guards.collada(next(filled)) == 1562 * FACES
+    (tmp_path / "a.dae").write_bytes(next(filled))
+    refused(tmp_path / "a.dae", "more than can be meant")
+
+
+def test_as_many_places_as_documented_and_one_more():
+    """A part of no size, in nothing but the scene: one place is the scene's own."""
+    for count, held in ((9_999, True), (10_000, False)):
+        parts = placing.Parts()
+        parts.add("part", placing.Size(0, 1, 3))
+        for _ in range(count):
+            parts.put("scene", "part")
+        if held:
+            assert parts.spread(["scene"]) == count
+        else:
+            with pytest.raises(InputError, match="10,001 places"):
+                parts.spread(["scene"])
+
+
+def test_as_many_values_at_a_corner_as_documented_and_one_more(good):
+    def strided(offset):
+        """Every corner with `offset` values that nobody reads before its own."""
+        text = good[".dae"].decode()
+        stride = 1 + max(map(int, re.findall(r'offset="(\d+)"', text)))
+        text = text.replace('offset="0"', f'offset="{offset}"')
+        corners = re.search(r"<p>(.*?)</p>", text, re.DOTALL)
+        own = re.findall(r"\d+", corners.group(1))[::stride]
+        return text.replace(corners.group(1), " ".join("0 " * offset + index for index in own)).encode()
+
+    assert guards.collada(strided(31)) == FACES
+    with pytest.raises(InputError, match="expected an offset from 0 to 31, got '32'"):
+        guards.collada(strided(32))
+
+
 def test_an_archive_in_a_collada_file_is_not_unpacked(good, tmp_path):
     (tmp_path / "a.dae").write_bytes(good[".dae"] + threemf(MODEL.format("", 0)))
     refused(tmp_path / "a.dae", "ZIP")
@@ -505,9 +555,9 @@ def test_a_spread_too_small_to_normalise_is_refused(folder):
 
 def parquet_of(folder, columns, **options):
     import pyarrow as pa
-    from pyarrow import parquet
+    import pyarrow.parquet
 
-    parquet.write_table(pa.table(columns), folder / "t.parquet", **options)
+    pa.parquet.write_table(pa.table(columns), folder / "t.parquet", **options)
     return folder / "t.parquet"
 
 
@@ -525,6 +575,33 @@ def test_parquet_that_explodes(folder, columns, match):
     assert path.stat().st_size < 5_000_000
     with pytest.raises(InputError, match=match):
         exemplars("table", table=path)
+
+
+def unpacked(path):
+    return parquet.read(path.read_bytes(), 10**6, 2 * 10**6, 10**4)
+
+
+def test_as_many_bytes_unpacked_as_documented_and_some_more(folder):
+    """Texts of 4096 bytes, each with its length: 8184 of them are just below 32 MiB, 8185 above."""
+    for count, held in ((8183, True), (8185, False)):
+        path = parquet_of(folder, {"mesh": ["x" * 4096] * count}, compression="zstd", use_dictionary=False)
+        assert path.stat().st_size < 2**20
+        if held:
+            assert unpacked(path).num_rows == count
+        else:
+            with pytest.raises(InputError, match=r"at most 33,554,432 bytes and 100,000 pages when unpacked"):
+                unpacked(path)
+
+
+def test_as_many_pages_as_documented_and_one_more(folder):
+    small = {"use_dictionary": False, "data_page_size": 1, "write_batch_size": 1, "compression": "none"}
+    for count, held in ((100_000, True), (100_001, False)):
+        path = parquet_of(folder, {"p": np.arange(count, dtype=float)}, **small)
+        if held:
+            assert unpacked(path).num_rows == count
+        else:
+            with pytest.raises(InputError, match="100,000 pages when unpacked"):
+                unpacked(path)
 
 
 def test_parquet_with_lists_is_read_without_them(folder):
@@ -562,7 +639,7 @@ def test_a_table_is_a_plain_file(tmp_path):
         ("bank = 3", "bank"),
         ("bank = 'a'\nranges = 7", "ranges"),
         ("bank = 'a'\nkeep = 'length'", "keep"),
-        ("# " + "a" * 2**20, "at most"),
+        ("# " + "a" * 2**22, "at most"),
     ],
 )
 def test_a_study_file_says_which_and_where(tmp_path, text, match):

@@ -151,6 +151,49 @@ def test_of_two_files_in_different_units_both_are_named():
     assert odd([car(), car(), car().apply_scale(1000)]) == [(2, "size", "refused")]
 
 
+@pytest.mark.parametrize("factor", [10, 25.4, 39.37, 100, 304.8, 1000])
+@pytest.mark.parametrize("which", [slice(0, None, 2), slice(4, None)])
+def test_of_a_table_half_in_another_unit_all_are_named(factor, which):
+    """No median tells which half is right: nobody can."""
+    meshes = cars()
+    for solid in meshes[which]:
+        solid.apply_scale(factor)
+    assert odd(meshes) == [(i, "size", "refused") for i in range(8)]
+    found = lampopt.intake(family(meshes), crossings=False)
+    assert "which are right cannot be known" in found.problems[0].message
+    assert "diagonals are 4 near 4." in found.problems[0].message
+    named = [f"mesh_{i}" for i in range(8)]
+    assert not lampopt.intake(family(meshes), crossings=False, accept=named).problems
+    meshes[which][0].apply_scale(1 / factor)  # five against three: those are told
+    assert sorted(i for i, *_ in odd(meshes)) == list(range(8)[which])[1:]
+
+
+def test_a_table_in_three_units_is_refused_as_a_whole():
+    meshes = cars() + cars()[:1]
+    for i, solid in enumerate(meshes):
+        solid.apply_scale([1, 100, 1000][i % 3])
+    assert odd(meshes) == [(i, "size", "refused") for i in range(9)]
+    assert (
+        "as files in different units have" in lampopt.intake(family(meshes, "ell"), crossings=False).problems[0].message
+    )
+
+
+@pytest.mark.parametrize("power", [1, 3])
+def test_two_sizes_that_a_parameter_tells_apart_pass(power):
+    """Small cars and large ones, ten times as large: the parameter is their scale, or their volume."""
+    scales = np.repeat([1.0, 10.0], 4)
+    meshes = [solid.apply_scale(scale) for solid, scale in zip(cars(), scales, strict=True)]
+    assert odd(meshes) == [(i, "size", "refused") for i in range(8)]
+    meant = replace(family(meshes), parameters=2.5 * scales[:, None] ** power)
+    assert not [f for f in lampopt.intake(meant, crossings=False).problems if f.kind == "size"]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_sizes_drawn_from_two_decades_pass(seed):
+    radii = 10 ** np.random.default_rng(seed).uniform(-1, 1, 8)
+    assert not odd([shapes.ellipsoid([r, r, r]) for r in radii])
+
+
 # place, facing
 
 
@@ -246,7 +289,7 @@ def test_one_mesh_with_two_parameters_is_noted():
 def judge():
     path = SHARED / "judge" / "judge.py"
     if not path.exists():
-        pytest.skip(f"no {path.name} in shared/judge")
+        pytest.skip("no file judge.py in ../shared/judge, beside the repository")
     spec = importlib.util.spec_from_file_location("judge", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -315,7 +358,7 @@ def test_real_files_have_the_documented_verdict(row):
     file, verdict, closed, bodies, genus, holes, crossings = row
     path = SHARED / "data" / file
     if not path.exists():
-        pytest.skip(f"no {file} in shared/data")
+        pytest.skip(f"no file {file} in ../shared/data, beside the repository")
     report = lampopt.intake(family([load_mesh(path)]))
     (health,) = report.health
     assert ("used" if not report.problems else report.problems[0].severity) == verdict
@@ -327,6 +370,6 @@ def test_real_files_have_the_documented_verdict(row):
 def test_every_real_file_is_documented():
     folders = [SHARED / "data" / "cars" / "raw", SHARED / "data" / "parts"]
     if not all(folder.is_dir() for folder in folders):
-        pytest.skip("no shared/data beside the repository")
+        pytest.skip("no folders cars/raw and parts in ../shared/data, beside the repository")
     found = {path.relative_to(SHARED / "data").as_posix() for folder in folders for path in folder.iterdir()}
     assert found == {row[0] for row in expected()}

@@ -119,7 +119,7 @@ def test_what_is_no_surface_is_refused(vertices):
 @pytest.mark.parametrize("name", ["Hybrid.obj", "fire_truck.obj", "hatchback.obj", "pickup.dae", "suv.obj"])
 def test_real_soups_become_one_closed_body(name):
     if not (RAW / name).exists():
-        pytest.skip(f"no cars/raw/{name} in shared/data")
+        pytest.skip(f"no file cars/raw/{name} in ../shared/data, beside the repository")
     mesh = load_mesh(RAW / name)
     length = mesh.extents.max()
     made = lampopt.wrap(mesh, gap=length / 60)

@@ -12,8 +12,9 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +25,12 @@ import lampopt
 from lampopt import Reduce, Spec, Study
 from lampopt.errors import InputError, LampoptError, MeasureError, PluginError, SolveError, StudyError
 from lampopt.meshfile import FORMATS, load_mesh
-from lampopt.record import export_mesh, passport
+from lampopt.mixes import Mixes
+from lampopt.record import passport
+from lampopt.task import Task
 from lampopt.testing import shapes
 from lampopt.types import Frame, Mix
+from lampopt.written import export_mesh
 from lampopt_kkt.kkt import KKT
 
 HERE = Path(__file__).parent
@@ -59,12 +63,18 @@ def sweep(study, grid=None, folder=None, *extra, **options):
 
 
 def table(folder, columns="*"):
+    return table_of(folder, "designs", columns)
+
+
+def table_of(folder, name, columns="*"):
     with closing(sqlite3.connect(Path(folder) / "runs.sqlite")) as database:
-        return sorted(database.execute(f"SELECT {columns} FROM designs").fetchall())
+        return sorted(database.execute(f"SELECT {columns} FROM {name}").fetchall())
 
 
 # all but the time
-EVERYTHING = "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh, digest"
+EVERYTHING = (
+    "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh, digest, task"
+)
 
 
 # in memory
@@ -372,6 +382,26 @@ def test_batches_are_of_neighbours_that_ask_for_the_same(bank):
     same_results(many, [run(replace(study, targets=t), None, COUNTING) for t in tables])
 
 
+def test_batches_are_found_once_and_not_again_for_each(bank):
+    """Of alternating tables every target is a batch: each is looked at a few times, however many there are."""
+    asked = Looked([{"length": 2.1}, {"width": 1.1}] * 200)
+    mixes = Mixes(Task.of(Study(bank), small.plugins()).posed, KKT(), asked)
+    for number in range(len(asked)):
+        posed, _ = mixes.at(number)
+        assert posed.problem.names == (("length",), ("width",))[number % 2]
+    assert asked.looks <= 5 * len(asked)
+
+
+class Looked(list):
+    """A list that counts how often somebody looks at one of it."""
+
+    looks = 0
+
+    def __getitem__(self, place):
+        self.looks += 1
+        return super().__getitem__(place)
+
+
 def test_a_solver_that_takes_ranges_is_held_to_them(bank):
     study = Study(bank, targets={"width": 1.2}, ranges={"length": (2.2, 2.4)}, solver="able", level="alpha")
     result = run(study, None, COUNTING)
@@ -508,8 +538,10 @@ def test_what_a_run_leaves(bank, tmp_path):
     folder = tmp_path / "runs" / "a"
     study = Study(bank, targets={"length": "2900 mm", "width": 1.2}, measures=("size",), resolution=32)
     result = run(study, folder)
+    stored = Study.read(folder / "study.toml").opened()
+    assert re.fullmatch(r"bank-[0-9a-f]{24}\.lamp", stored.path.name)
     assert sorted(p.name for p in folder.iterdir()) == [
-        "bank.lamp",
+        stored.path.name,
         "designs",
         "runs.lock",
         "runs.sqlite",
@@ -518,7 +550,9 @@ def test_what_a_run_leaves(bank, tmp_path):
     assert sorted(p.name for p in result.folder.iterdir()) == ["mesh.stl", "passport.json"]
     assert result.folder.parent == folder / "designs"
 
-    ((key, target, alpha, residual, status, _, _, checks, accepted, provenance, mesh, seconds, digest),) = table(folder)
+    ((key, target, alpha, residual, status, _, _, checks, accepted, provenance, mesh, seconds, digest, task),) = table(
+        folder
+    )
     assert key == result.folder.name
     assert json.loads(target) == TARGET
     assert np.array_equal(np.frombuffer(alpha), result.design.mix.alpha)
@@ -538,9 +572,11 @@ def test_what_a_run_leaves(bank, tmp_path):
     size = next(check for check in passport["checks"] if check["name"] == "size.volume")
     assert size["value"] == pytest.approx(2.9 * 1.2 * 0.8, rel=1e-6)
 
-    stored = Study.read(folder / "study.toml")
-    assert (dict(stored.targets), stored.resolution) == (dict(study.targets), 32)
-    assert small.same(stored.opened(), bank)
+    assert table_of(folder, "asked") == [(task,)]
+
+    left = Study.read(folder / "study.toml")
+    assert (dict(left.targets), left.resolution) == (dict(study.targets), 32)
+    assert small.same(stored, bank)
     written = trimesh.load_mesh(result.folder / "mesh.stl")
     assert written.extents == pytest.approx([2.9, 1.2, 0.8], rel=1e-6)
     assert written.is_watertight
@@ -552,6 +588,23 @@ def test_a_study_that_was_left_runs_again_and_finds_its_rows(bank, tmp_path):
     again = list(sweep(Study.read(tmp_path / "study.toml"), None, tmp_path))
     assert len(again) == 6
     assert small.CALLS["decode"] == 0
+
+
+def test_a_large_sweep_leaves_a_study_that_is_read(bank, tmp_path):
+    lengths = [2 + i / 3e5 for i in range(14_000)]  # with all their digits more than 300 kB
+    begun = sweep(Study(bank, level="alpha"), {"length": lengths}, tmp_path)
+    next(begun)
+    begun.close()
+    assert Study.read(tmp_path / "study.toml").sweep["length"] == tuple(lengths)
+    assert len(list(lampopt.results(tmp_path, plugins=small.plugins()))) == 1
+
+
+def test_tables_leave_what_they_have_in_common(bank, tmp_path):
+    study = Study(bank, targets={"width": 1.2}, sweep={"length": [2.1]}, level="alpha")
+    list(sweep(study, [{"length": 2.5}, {"length": 2.6}], tmp_path))
+    left = Study.read(tmp_path / "study.toml")
+    assert (dict(left.targets), dict(left.sweep)) == ({"width": 1.2}, {})
+    assert len(list(lampopt.results(tmp_path, plugins=small.plugins()))) == 2
 
 
 def test_a_bank_in_a_file_is_named_not_copied(bank, tmp_path):
@@ -695,7 +748,10 @@ CHANGES = [
     {"targets": {"length": 2.8, "width": 1.2}},
     {"targets": {"length": 2.9}},
     {"keep": ("drag",)},
-    {"reference": "box_1"},
+    {"objective": Reduce("drag", by=0.1)},
+    {"ranges": {"drag": (0.3, 0.4)}},
+    {"checks": ("quiet",)},
+    {"reference": "box_3"},
     {"hard": ("length",)},
     {"solver": Spec("kkt", ridge=0.1)},
     {"measures": ("volume",)},
@@ -709,13 +765,43 @@ CHANGES = [
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: next(iter(change)))
 def test_another_question_is_another_design(bank, tmp_path, change):
-    study = Study(bank, targets=TARGET)
-    run(study, tmp_path)
-    run(replace(study, **change), tmp_path)
+    extra = (COUNTING, ("second", Second()))
+    study = Study(bank, targets=TARGET, reference="box_1", solver="able")
+    run(study, tmp_path, *extra)
+    run(replace(study, **change), tmp_path, *extra)
     assert len(table(tmp_path)) == 2
     small.CALLS.clear()
-    run(study, tmp_path)
+    run(study, tmp_path, *extra)
     assert small.CALLS["evaluate"] == 0
+
+
+def test_each_thing_that_a_study_asks_is_among_these():
+    alone = {"bank", "sweep", "requires"}  # a bank has its own test; the others alter no design
+    assert {name for change in CHANGES for name in change} == {item.name for item in fields(Study)} - alone
+
+
+@pytest.mark.parametrize("name", ["limits", "solver", "reference", "hard", "measures", "checks", "format", "seed"])
+def test_each_alters_the_key_itself(bank, name):
+    """Not by way of the target or the evidence: the identity of what is asked."""
+    given = small.plugins(COUNTING, ("second", Second()))
+    study = Study(bank, targets=TARGET, reference="box_1", solver="able")
+    (change,) = [change for change in CHANGES if name in change]
+    assert Task.of(study, given).identity != Task.of(replace(study, **change), given).identity
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"targets": {"length": 2.1}},
+        {"targets": {}, "keep": ("width",)},
+        {"sweep": {"width": [1.1]}},
+        {"requires": ("kkt",)},
+    ],
+    ids=lambda change: [*change][-1],
+)
+def test_targets_and_sweeps_are_no_part_of_the_identity(bank, change):
+    study = Study(bank, targets=TARGET)
+    assert Task.of(study, small.plugins()).identity == Task.of(replace(study, **change), small.plugins()).identity
 
 
 class Second:
@@ -771,6 +857,39 @@ def other_banks(bank):
     yield replace(bank, names=tuple(f"b{i}" for i in range(7)))
     yield replace(bank, mesh_facts={})
     yield replace(bank, provenance={**bank.provenance, "plan": "other"})
+
+
+def all_other_banks(bank):
+    yield from other_banks(bank)
+    yield replace(bank, space=(replace(bank.space[0], unit="dm"), bank.space[1]))
+    yield replace(bank, label_space=(lampopt.Parameter("force"),))
+    yield replace(bank, decoder=Spec("stretch-field"))
+    yield replace(bank, measured_by={"length": "extents.length", "width": "extents.height"})
+    for name in ("parameters", "labels", "probes", "probe_values", "fit_error", "measured"):
+        found = getattr(bank, name).copy()
+        found.flat[0] += 0.125
+        yield replace(bank, **{name: found})
+
+
+def test_whatever_differs_in_a_bank_it_has_other_designs(bank):
+    others = list(all_other_banks(bank))
+    names = [next(n for n, value in plain(bank).items() if value != plain(other)[n]) for other in others]
+    assert set(names) == plain(bank).keys() - {"path", "calibration"}  # which alter no design
+    keys = {Task.of(Study(b, targets=TARGET), small.plugins()).key(TARGET) for b in [bank, *others]}
+    assert len(keys) == 1 + len(others)
+
+
+def plain(bank):
+    """A bank's fields, comparable."""
+
+    def comparable(value):
+        if isinstance(value, np.ndarray):
+            return value.tobytes()
+        if isinstance(value, Frame):
+            return (value.scale, value.centre.tolist(), value.unit)
+        return {k: comparable(v) for k, v in value.items()} if isinstance(value, Mapping) else value
+
+    return {item.name: comparable(getattr(bank, item.name)) for item in fields(bank)}
 
 
 def test_another_bank_is_another_design(bank, tmp_path):

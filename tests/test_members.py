@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import lampopt
 from lampopt import cli
 from lampopt.errors import BankError, FitError, InputError
+from lampopt.testing import shapes
 from lampopt.types import Calibration, Parameter
 
 HERE = Path(__file__).parent
@@ -162,13 +164,125 @@ def test_a_mesh_too_large_for_the_frame_is_refused_by_name(bank):
     large = few([4, 5, 6])
     meshes = [mesh.copy() for mesh in large.meshes]
     meshes[1].apply_scale([1.4, 1, 1])  # 4.2 m: the box ends at 2.6 / 0.6 m, 5 % of it is to stay free
-    with pytest.raises(InputError, match=r"^box_5: too large for this bank.*build the bank anew with them"):
+    with pytest.raises(InputError, match=r"'box_5': too large or too far off.*build the bank anew with it"):
         add(bank, replace(large, meshes=meshes))
     meshes[1] = large.meshes[1].copy()
     meshes[2] = large.meshes[2].copy().apply_translation([0, 0, 30])
     with pytest.raises(InputError, match=r"box_6"):
         add(bank, replace(large, meshes=meshes))
     assert not CALLS["fit"]
+
+
+def altered(rows, number, change, **changes):
+    """Some of the seven boxes, the mesh of one of them altered."""
+    made = few(rows, **changes)
+    made.meshes[number] = change(made.meshes[number].copy())
+    return made
+
+
+def shrunk(mesh):
+    return mesh.apply_scale(1e-3)
+
+
+def turned(mesh):
+    return mesh.apply_transform(np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
+
+
+def unroofed(mesh):
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[(mesh.triangles[:, :, 2] < 0.39).any(1)], process=False)
+
+
+def pierced(mesh):
+    """A torus of the extents of a box."""
+    torus = trimesh.creation.torus(1, 0.3, major_sections=24, minor_sections=12)
+    return torus.apply_scale(mesh.extents / torus.extents)
+
+
+@pytest.mark.parametrize(
+    ("rows", "number", "change", "messages"),
+    [
+        ([4, 5], 0, shrunk, ["diagonal up to", "times as small", "'extents.length' near 2.8 m", "got 0.0028"]),
+        ([5], 0, shrunk, ["as a file in km among files in m", "got 0.003"]),
+        (
+            [4, 5, 6],
+            2,
+            turned,
+            ["'extents.length' near 2.5 m", "got 1.4", "'extents.width' near 1.4 m", "is it turned"],
+        ),
+        ([4], 0, pierced, ["expected genus 0, as all of the bank's own have, got 1"]),
+        ([4], 0, unroofed, ["expected genus 0", "an open surface"]),
+        (
+            [4, 5],
+            1,
+            lambda m: trimesh.util.concatenate([m, shapes.box([0.1] * 3, centre=(0, 0, 1))]),
+            ["expected bodies 1, as all of the bank's own have, got 2"],
+        ),
+    ],
+)
+def test_a_newcomer_unlike_the_banks_own_is_refused_by_name(bank, rows, number, change, messages):
+    with pytest.raises(InputError) as caught:
+        add(bank, altered(rows, number, change))
+    name = f"box_{rows[number]}"
+    told = "".join(line for line in str(caught.value).splitlines() if line.startswith(f"  exemplar '{name}'"))
+    assert [message for message in messages if message not in told] == []
+    assert not [f for f in few(rows).names if f != name and f"exemplar '{f}'" in str(caught.value)]
+    assert not CALLS["fit"]
+
+
+def test_all_that_are_unlike_are_named_at_once_and_may_be_accepted(bank):
+    odd = altered([4, 5, 6], 0, turned)
+    odd.meshes[1] = pierced(odd.meshes[1])
+    with pytest.raises(InputError, match=r"(?s)'box_4': expected 'extents.*'box_5': expected genus 0.*--accept box_5"):
+        add(bank, odd)
+    with pytest.raises(InputError, match="box_5") as caught:
+        add(bank, odd, accept=["box_4"])
+    assert "'box_4'" not in str(caught.value)
+    for accept in (["box_4", "box_5"], "all"):
+        grown = add(bank, odd, accept=accept)
+        assert grown.measured[4].tolist() == pytest.approx([1.2, 2.8])
+        assert dict(grown.mesh_facts) == {}
+
+
+def test_meshes_of_other_rows_are_refused(bank):
+    """The bank's own meshes, their parameters the other way round."""
+    again = few(range(4), names=("a", "b", "c", "d"))
+    with pytest.raises(InputError, match=r"(?s)'a': expected 'extents.length'.*'d': expected 'extents.length'"):
+        add(bank, replace(again, parameters=again.parameters[::-1]))
+    assert add(bank, again).measured[4:].tolist() == bank.measured.tolist()
+
+
+def test_measured_values_go_on_following_their_parameters(bank):
+    """Many, each within what is expected of one, and together unrelated to their parameters."""
+    lengths = np.tile([2.2, 2.32], 12)
+    parameters = np.column_stack([lengths, np.tile([1.0, 1.1, 1.2, 1.3], 6)])
+    meshes = [shapes.box([4.52 - length, width, 0.8]) for length, width in parameters]
+    names = tuple(f"new_{i}" for i in range(24))
+    wrong = few(range(4), parameters=parameters, meshes=meshes, names=names, labels=None, label_space=())
+    with pytest.raises(InputError, match=r"'extents.length' does not follow parameter 'length' any more \(R² 0"):
+        add(bank, wrong)
+    assert len(add(bank, wrong, accept="all")) == 28
+
+
+def test_a_bank_that_measures_nothing_knows_its_size():
+    bank = small.bank(few(range(4), measured={}))
+    with pytest.raises(InputError, match=r"'box_5': expected a diagonal up to .* as a file in km"):
+        add(bank, altered([4, 5], 1, shrunk, measured={}))
+    tenth = altered([5], 0, lambda m: m.apply_scale(0.1), measured={})
+    with pytest.raises(InputError, match=r"'box_5': expected a diagonal .* 8.67 times as small; look at it"):
+        add(bank, tenth)
+    assert len(add(bank, tenth, accept="all")) == 5
+
+
+def test_a_small_newcomer_whose_measures_agree_is_no_stranger(bank):
+    """A box of a tenth of the length, and its parameters say so."""
+    parameters = np.array([[0.3, 0.12]])
+    tiny = few([4], parameters=parameters, meshes=[shapes.box([0.3, 0.12, 0.1])])
+    assert add(bank, tiny).measured[4] == pytest.approx(parameters[0])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_a_bank_of_few_lets_its_like_in(count):
+    assert len(add(small.bank(few(range(count))), few([5, 6]))) == count + 2
 
 
 def test_an_exemplar_that_cannot_be_fitted_is_named(bank):
@@ -234,9 +348,15 @@ def test_removed_into_a_file(bank, tmp_path):
     assert small.same(left, lampopt.remove_exemplars(bank, ["box_1"]))
     assert small.same(remove(bank, tmp_path / "left.lamp"), left)  # once more changes nothing
     assert dict(left.provenance)["removed"] == "box_1"
-    (tmp_path / "other.lamp.77.writing").write_bytes(b"by one that was killed")
-    assert small.same(remove(bank, tmp_path / "other.lamp"), left)
-    assert sorted(os.listdir(tmp_path)) == ["left.lamp", "other.lamp"]
+    assert os.listdir(tmp_path) == ["left.lamp"]
+
+
+def test_removing_is_one_step_and_needs_no_folder(bank, tmp_path, monkeypatch):
+    def opened(*_):
+        raise AssertionError("a folder for parts, and nothing is fitted")
+
+    monkeypatch.setattr("lampopt.partial.Partial.open", opened)
+    assert remove(bank, tmp_path / "left.lamp").names == ("box_0", "box_2", "box_3")
 
 
 def test_a_build_goes_on_after_members_changed(bank, tmp_path):

@@ -52,3 +52,44 @@ def test_a_face_without_its_vertex_is_refused(tmp_path, corner):
     path.write_text(head + f"0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 {corner}\n")
     with pytest.raises(InputError, match=r"damaged.ply"):
         load_mesh(path)
+
+
+def obj(mesh: trimesh.Trimesh) -> list[str]:
+    """As lines of an OBJ file: vertices, then faces."""
+    vertices = ["v " + " ".join(repr(float(x)) for x in v) for v in mesh.vertices]
+    return [*vertices, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces)]
+
+
+@pytest.mark.parametrize("blank", [" ", "    ", "\t", " \t ", "\v", "\f"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    "indented", [slice(None), slice(2, 3), slice(24 * 12 + 5, 24 * 12 + 6), slice(24 * 12 + 5, None)]
+)
+def test_indented_lines_of_an_obj_file_are_read(tmp_path, blank, end, indented):
+    """All of them, one vertex, one face, nearly all faces."""
+    whole = torus(1.0)
+    lines = obj(whole)
+    lines[indented] = [blank + line for line in lines[indented]]
+    (tmp_path / "torus.obj").write_bytes(end.join([*lines, ""]).encode())
+    mesh = load_mesh(tmp_path / "torus.obj")
+    assert len(mesh.faces) == len(whole.faces)
+    assert mesh.volume == pytest.approx(whole.volume)
+
+
+def test_tabs_and_lines_that_go_on_are_read_in_an_obj_file(tmp_path):
+    whole = torus(1.0)
+    lines = obj(whole)
+    lines[3] = lines[3].replace(" ", "\t")
+    lines[400] = lines[400].replace(" ", "\t")
+    first, second, third, fourth = lines[500].split()
+    lines[500] = f"{first} {second} {third}\\\n  {fourth}"  # the blanks part the numbers
+    (tmp_path / "torus.obj").write_text("\n".join([*lines, ""]))
+    mesh = load_mesh(tmp_path / "torus.obj")
+    assert len(mesh.faces) == len(whole.faces)
+    assert mesh.volume == pytest.approx(whole.volume)
+
+
+def test_what_is_indented_is_held_against_its_promises_too(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n  f 0 1 2\n")
+    with pytest.raises(InputError, match="count from 1, got 0"):
+        load_mesh(tmp_path / "a.obj")

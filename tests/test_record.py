@@ -6,6 +6,7 @@ import os
 import shutil
 import sqlite3
 import stat
+import subprocess
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -17,6 +18,7 @@ import pytest
 
 import lampopt
 from lampopt import Study
+from lampopt.database import Reader
 from lampopt.errors import InputError
 from lampopt.meshfile import FORMATS, load_mesh
 
@@ -48,8 +50,8 @@ def sweep(study, grid, folder, **options):
     return list(lampopt.sweep(study, grid, folder, report=False, plugins=small.plugins(), **options))
 
 
-def results(folder):
-    return list(lampopt.results(folder, plugins=small.plugins()))
+def results(folder, **options):
+    return list(lampopt.results(folder, plugins=small.plugins(), **options))
 
 
 def execute(folder, *statements):
@@ -68,22 +70,23 @@ def tree(folder):
 # read without being run
 
 
-def test_results_are_those_recorded_in_the_order_recorded(bank, tmp_path):
+def test_results_are_those_recorded_the_last_asked_first(bank, tmp_path):
     made = [*sweep(Study(bank), GRID, tmp_path), run(Study(bank, targets=TARGET, level="alpha"), tmp_path)]
+    made = [made[-1], *made[:-1]]
     small.CALLS.clear()
     before = tree(tmp_path)
-    found = results(tmp_path)
+    found = results(tmp_path, every=True)
     assert [dict(r.design.target) for r in found] == [dict(r.design.target) for r in made]
-    assert [r.accepted for r in found] == [True, False, True, True]
+    assert [r.accepted for r in found] == [True, True, False, True]
     assert [r.folder for r in found] == [r.folder for r in made]
     for one, two in zip(found, made, strict=True):
         assert [check.name for check in one.checks] == [check.name for check in two.checks]
         assert np.array_equal(one.design.mix.alpha, two.design.mix.alpha)
         assert np.array_equal(one.design.weights, two.design.weights)
         assert dict(one.provenance) == dict(two.provenance)
-    assert found[0].design.mesh.extents == pytest.approx([2.5, 1.2, 0.8])
+    assert found[1].design.mesh.extents == pytest.approx([2.5, 1.2, 0.8])
     assert small.CALLS["decode"] == 0
-    assert found[1].design.mesh is None
+    assert found[2].design.mesh is None
     assert tree(tmp_path) == before
 
 
@@ -131,6 +134,8 @@ def test_designs_of_another_bank_are_left_out(bank, tmp_path, caplog):
         caplog.clear()
         run(Study(other, targets=TARGET), tmp_path)
         assert len(results(tmp_path)) == 1
+        assert "designs are of other studies and left out" in caplog.text
+        assert len(results(tmp_path, every=True)) == 1
         assert "designs are of another bank and left out" in caplog.text
 
 
@@ -144,9 +149,96 @@ def test_each_design_is_decoded_at_its_own_resolution(bank, tmp_path, monkeypatc
         made = run(Study(bank, targets=TARGET, resolution=resolution), tmp_path)
         (made.folder / "mesh.stl").unlink()
     asked.clear()
-    for result in results(tmp_path):
+    for result in results(tmp_path, every=True):
         assert result.design.mesh is not None
-    assert asked == [16, 48]
+    assert asked == [48, 16]  # the one asked for last comes first
+
+
+def test_results_are_of_the_study_that_was_asked_last(bank, tmp_path, caplog):
+    loose, strict = Study(bank, limits={"alpha": 9.0}), Study(bank, limits={"alpha": 0.2})
+    lengths = {"length": [2.5, 2.9], "width": [1.2]}
+    sweep(loose, lengths, tmp_path)
+    assert [r.accepted for r in results(tmp_path)] == [True, True]
+    assert not caplog.records
+    sweep(strict, {"length": [2.9], "width": [1.2]}, tmp_path)
+    assert [r.accepted for r in results(tmp_path)] == [False]  # one verdict for one target
+    assert f"{tmp_path}: 2 of 3 designs are of other studies and left out; results(folder, every=True)" in caplog.text
+    assert len(results(tmp_path, every=True)) == 3
+    sweep(strict, [{"length": 2.5, "width": 1.2}], tmp_path)  # a sweep that grows, however it is asked, is one
+    run(replace(strict, targets=TARGET, sweep={"length": [2.1]}), tmp_path)
+    assert [r.design.target["length"] for r in results(tmp_path)] == [2.9, 2.5]
+    sweep(loose, lengths, tmp_path)  # read back, none recorded
+    assert [r.accepted for r in results(tmp_path)] == [True, True]
+
+
+def test_a_study_that_cannot_be_written_leaves_the_one_that_was_asked(bank, tmp_path, monkeypatch):
+    run(Study(bank, targets=TARGET), tmp_path)
+    before = (tmp_path / "study.toml").read_text()
+    monkeypatch.setattr("lampopt.record.os.replace", lambda *_: os.rename("", ""))
+    with pytest.raises(InputError, match="cannot be written"):
+        run(Study(bank, targets=TARGET, level="alpha"), tmp_path)
+    assert (tmp_path / "study.toml").read_text() == before
+    assert [len(r.checks) > 5 for r in results(tmp_path)] == [True]
+
+
+ADDS = """
+import sys
+sys.path.insert(0, {here!r})
+import lampopt, small
+grid = {{"length": [2 + i / 1000 for i in range({count})], "width": [1.2]}}
+study = lampopt.Study({bank!r}, level="alpha")
+for _ in lampopt.sweep(study, grid, {folder!r}, report=False, plugins=small.plugins()):
+    pass
+"""
+
+
+def add(bank, folder, count):
+    code = ADDS.format(here=str(HERE), bank=str(bank.path), folder=str(folder), count=count)
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_what_was_recorded_is_read_whatever_another_process_adds(bank, tmp_path):
+    """A database that was closed is read without locks; one that is opened again is another file, page by page."""
+    stored, folder = lampopt.store_bank(bank, tmp_path / "a.lamp"), tmp_path / "run"
+    add(stored, folder, 300)
+    assert not list(folder.glob("runs.sqlite-*"))
+    begun = lampopt.results(folder, plugins=small.plugins())
+    found = [next(begun)]
+    add(stored, folder, 900)
+    found += begun
+    assert [r.design.target["length"] for r in found] == [2 + i / 1000 for i in range(300)]
+    assert len(results(folder)) == 900
+
+
+def test_a_statement_is_answered_as_of_one_moment(bank, tmp_path, monkeypatch):
+    """A writer between the looking and the answer: it is asked again."""
+    sweep(Study(bank, level="alpha"), GRID, tmp_path)
+    found, asked = Reader._found, []
+
+    def disturbed(reader, *given, **options):
+        rows = found(reader, *given, **options)
+        asked.append(len(rows))
+        if len(asked) == 1:
+            run(Study(bank, targets={"length": 2.7}, level="alpha"), tmp_path)
+        return rows
+
+    monkeypatch.setattr(Reader, "_found", disturbed)
+    assert len(Reader(tmp_path / "runs.sqlite").rows("SELECT key FROM designs")) == 4
+    assert asked == [3, 4]
+    monkeypatch.setattr(Reader, "_state", lambda _: (False, len(asked), 0, asked.append(0) or 0))
+    with pytest.raises(InputError, match=r"runs\.sqlite: is written again and again while it is read"):
+        Reader(tmp_path / "runs.sqlite").rows("SELECT key FROM designs")
+
+
+def test_a_row_that_is_deleted_meanwhile_is_missed(bank, tmp_path):
+    grid = {"length": np.linspace(2, 3, 300).tolist(), "width": [1.2]}
+    made = sweep(Study(bank, level="alpha"), grid, tmp_path)
+    begun = lampopt.results(tmp_path, plugins=small.plugins())
+    next(begun)
+    execute(tmp_path, "DELETE FROM designs WHERE rowid = 299")
+    with pytest.raises(InputError, match=r"design '[0-9a-f]{24}' was deleted while the run is read"):
+        list(begun)
+    assert len(made) == 300
 
 
 # older
@@ -174,9 +266,11 @@ def test_a_run_of_schema_1_goes_on(tmp_path):
         assert small.CALLS["decode"] == 1
     assert execute(tmp_path / "run") == 2
     with closing(sqlite3.connect(tmp_path / "run" / "runs.sqlite")) as database:
-        digests = [digest for (digest,) in database.execute("SELECT digest FROM designs ORDER BY rowid")]
-    assert digests[:3] == [None] * 3
+        digests, tasks = zip(*database.execute("SELECT digest, task FROM designs ORDER BY rowid"), strict=True)
+    assert digests[:3] == (None,) * 3
     assert digests[-1] is not None
+    assert tasks[:3] == ("",) * 3
+    assert len(tasks[-1]) == 24
     assert [dict(r.design.target)["length"] for r in results(tmp_path / "run")][:3] == [2.5, -9.0, 2.9]
 
 
@@ -245,10 +339,40 @@ def test_a_bank_altered_in_memory_is_stored_and_not_named_by_its_old_file(bank, 
     assert not run(Study(stricter, targets=TARGET), tmp_path / "run").accepted
     again = Study.read(tmp_path / "run" / "study.toml").opened()
     assert dict(again.limits) == {"alpha": 0.25}
-    assert again.path == tmp_path / "run" / "bank.lamp"
+    assert again.path == next((tmp_path / "run").glob("bank-*.lamp"))
     (tmp_path / "a.lamp").unlink()  # a file that is gone names nothing either
     run(Study(stored, targets=TARGET), tmp_path / "other")
     assert small.same(Study.read(tmp_path / "other" / "study.toml").opened(), bank)
+
+
+def test_a_bank_in_the_folder_is_never_replaced(bank, tmp_path):
+    mine = lampopt.store_bank(bank, tmp_path / "bank.lamp")
+    before = (tmp_path / "bank.lamp").read_bytes()
+    altered = replace(mine, limits={"alpha": 0.25})
+    assert not run(Study(altered, targets=TARGET), tmp_path).accepted
+    assert (tmp_path / "bank.lamp").read_bytes() == before
+    first = {file: file.read_bytes() for file in tmp_path.glob("bank-*.lamp")}
+    run(Study(replace(mine, limits={"alpha": 0.5}), targets=TARGET), tmp_path)
+    run(Study(altered, targets=TARGET), tmp_path)  # from the file that it has
+    found = {file: file.read_bytes() for file in tmp_path.glob("bank-*.lamp")}
+    assert len(first) == 1 and len(found) == 2 and found.items() >= first.items()
+    limits = {float(lampopt.load_bank(file).limits["alpha"]) for file in found}
+    assert limits == {0.25, 0.5}
+    (file,) = first
+    file.write_bytes(before)
+    with pytest.raises(InputError, match=r"bank-[0-9a-f]{24}\.lamp: is not the bank that its name tells: remove it"):
+        run(Study(altered, targets=TARGET), tmp_path)
+    assert file.read_bytes() == before
+
+
+def test_a_folder_that_stores_its_bank_as_it_was_once_named_goes_on(bank, tmp_path):
+    lampopt.store_bank(bank, tmp_path / "bank.lamp")
+    made = run(Study(tmp_path / "bank.lamp", targets=TARGET), tmp_path)
+    small.CALLS.clear()
+    assert run(replace(Study.read(tmp_path / "study.toml"), targets=TARGET), tmp_path).checks == made.checks
+    run(Study(bank, targets=TARGET), tmp_path)  # the same bank in memory has the same designs
+    assert not small.CALLS
+    assert len(results(tmp_path)) == 1
 
 
 # hostile
@@ -306,9 +430,9 @@ def test_a_damaged_row_is_named_or_does_no_harm(bank, tmp_path, column, value, c
 def test_another_table_is_said(bank, tmp_path, statement):
     run(Study(bank, targets=TARGET), tmp_path)
     execute(tmp_path, statement, "CREATE TABLE other (a)")
-    with pytest.raises(InputError, match=r"runs\.sqlite: is damaged or no database of a run: no such"):
+    with pytest.raises(InputError, match=r"runs\.sqlite: expected the tables designs and asked and no more"):
         results(tmp_path)
-    with pytest.raises(InputError, match=r"runs\.sqlite: is damaged or no database of a run: no such"):
+    with pytest.raises(InputError, match=r"runs\.sqlite: expected the tables designs and asked and no more"):
         run(Study(bank, targets=TARGET), tmp_path)
 
 
@@ -335,7 +459,7 @@ def test_a_full_disk_leaves_no_half_design(bank, tmp_path, monkeypatch):
 
     made = sweep(Study(bank), {"length": [2.5], "width": [1.2]}, tmp_path)
     before = tree(tmp_path / "designs")
-    monkeypatch.setattr("lampopt.record._write_mesh", full)
+    monkeypatch.setattr("lampopt.record.write_mesh", full)
     with pytest.raises(InputError, match=r"cannot be written: .*No space left.*; what is recorded there is kept"):
         sweep(Study(bank), GRID, tmp_path)
     assert tree(tmp_path / "designs") == before
@@ -356,7 +480,7 @@ def test_the_report_is_written_at_the_end_and_loses_nothing(bank, tmp_path, monk
     monkeypatch.setattr("lampopt.reporting.write_report", fails, raising=False)
     with caplog.at_level(logging.WARNING, "lampopt"):
         assert len(list(lampopt.sweep(Study(bank), GRID, tmp_path, plugins=small.plugins()))) == 3
-    assert "the report is not written: RuntimeError('no pictures today')" in caplog.text
+    assert "the report is not written: RuntimeError: no pictures today" in caplog.text
     monkeypatch.setattr("lampopt.reporting.write_report", writes, raising=False)
     begun = lampopt.sweep(Study(bank), GRID, tmp_path, plugins=small.plugins())
     next(begun)
@@ -366,7 +490,12 @@ def test_the_report_is_written_at_the_end_and_loses_nothing(bank, tmp_path, monk
     lampopt.run(Study(bank, targets=TARGET), tmp_path, plugins=small.plugins())
     assert lampopt.report(tmp_path, plugins=small.plugins()) == tmp_path / "report.html"
     lengths = [[target["length"] for target in targets] for targets, _ in asked]
-    assert lengths == [[2.5, -9.0, 2.9]] * 3  # the last was recorded already
+    swept = [2.5, -9.0, 2.9]
+    assert lengths == [
+        swept,
+        [2.9, 2.5, -9.0],
+        [2.9, 2.5, -9.0],
+    ]  # the last was recorded already; it was asked for last
     assert {names for _, names in asked} == {bank.names}
 
 
@@ -375,6 +504,14 @@ def test_a_passport_of_every_design_is_plain_json(bank, tmp_path):
         if made.folder != tmp_path:
             text = (made.folder / "passport.json").read_text(encoding="utf-8")
             json.loads(text, parse_constant=lambda name: pytest.fail(name))
+
+
+def test_a_missing_table_or_column_is_said(bank, tmp_path):
+    run(Study(bank, targets=TARGET), tmp_path)
+    execute(tmp_path, "ALTER TABLE designs DROP COLUMN digest")
+    for read in (results, lambda folder: run(Study(bank, targets=TARGET), folder)):
+        with pytest.raises(InputError, match=r"runs\.sqlite: is damaged or no database of a run: no such column"):
+            read(tmp_path)
 
 
 def test_files_are_readable_by_others_as_the_user_has_it(bank, tmp_path):

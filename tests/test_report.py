@@ -1,6 +1,7 @@
 """The report: what it says is what was found, its pictures show the shapes, nothing in it leads outside."""
 
 import base64
+import hashlib
 import importlib
 import io
 import json
@@ -16,13 +17,15 @@ from trimesh import Trimesh, creation, util
 
 import lampopt
 from lampopt.errors import InputError
+from lampopt.measured import following_ratio
 from lampopt.plugins import Plugins
 from lampopt.reporting import charts, figures, write_report
-from lampopt.reporting.gather import Spread, gather, score
+from lampopt.reporting.gather import Spread, gather
 from lampopt.reporting.layout import laid_out, scaled
 from lampopt.reporting.measuring import is_itself, read_back
 from lampopt.reporting.render import ABOVE, BELOW, LEVEL, colours, pictures, reach, views
 from lampopt.reporting.shapes import drawn, signed_distance, sky_seen, spread_over
+from lampopt.reporting.words import check_row
 from lampopt.testing import shapes
 from lampopt.types import Check, Parameter
 
@@ -39,10 +42,12 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
         self.scripts, self.words, self.leads, self.handlers, self._in = [], [], [], [], []
+        self.tags = []
         self.feed(text)
         self.close()
 
     def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
         if tag in ("script", "style"):
             self._in.append(tag)
         if tag == "script":
@@ -141,6 +146,24 @@ def test_nothing_leads_outside(page):
     assert page.leads == []
     assert page.handlers == []
     assert [given for given, _ in page.scripts if given.get("src")] == []
+
+
+def test_the_policy_admits_one_script_and_nothing_from_outside(page):
+    """It stands before all that it is to rule."""
+    ((place, policy),) = (
+        (i, given["content"])
+        for i, (_, given) in enumerate(page.tags)
+        if given.get("http-equiv") == "Content-Security-Policy"
+    )
+    assert [tag for tag, _ in page.tags[:place]] == ["html", "head", "meta"]
+    (script,) = (text for given, text in page.scripts if not given)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert dict(rule.split(maxsplit=1) for rule in policy.split(";")) == {
+        "default-src": "'none'",
+        "img-src": "data:",
+        "style-src": "'unsafe-inline'",
+        "script-src": f"'sha256-{digest}'",
+    }
 
 
 def test_the_same_run_gives_the_same_file(tmp_path, study, results):
@@ -314,27 +337,21 @@ def test_spread_keeps_few_and_evenly(count):
     assert len(spread.take(4)) == min(4, count)
 
 
-@pytest.mark.parametrize(
-    ("value", "sense", "limit", "share"),
-    [
-        (0.5, "<=", 1.0, 0.5),
-        (3.0, "<=", 1.0, 3.0),
-        (0.0, "<=", 0.0, 0.0),
-        (0.1, "<=", 0.0, np.inf),
-        (np.nan, "<=", 1.0, np.inf),
-        (np.inf, "<=", 1.0, np.inf),
-        (3.0, ">=", 1.5, 0.5),
-        (0.5, ">=", 1.5, 3.0),
-        (-1.0, ">=", 1.5, np.inf),
-        (1.0, "=", 1.0, 0.0),
-        (0.0, "=", 1.0, np.inf),
-        (7.0, "info", None, 0.0),
-    ],
-)
-def test_score_is_the_part_of_the_limit(value, sense, limit, share):
-    check = Check("c", value, sense, limit, "", "mesh")
-    assert score(check) == share
-    assert (score(check) > 1) == (not check.passed)
+def test_a_line_tells_the_check_that_the_score_is_of(bank):
+    def line(*checks):
+        (one,) = many(1, lambda i: True, bank)
+        result = lampopt.Result(one.design, checks, one.provenance)
+        (found,) = gather([result], bank, 1).lines
+        assert found.score == result.score
+        return found.worst, found.score, found.accepted
+
+    near = Check("near", 0.9, "<=", 1.0, "", "alpha")
+    beyond = Check("beyond", 1.0, ">=", 3.0, "", "mesh")
+    assert line() == ("", 0.0, True)
+    assert line(near, Check("told", 7.0, "info", None, "", "mesh")) == ("near", 0.9, True)
+    assert line(near, beyond) == ("beyond", 3.0, False)
+    assert line(near, beyond, Check("unknown", np.nan, "<=", 1.0, "", "mesh")) == ("unknown", np.inf, False)
+    assert check_row(beyond)["part"] == "3 of the limit"
 
 
 def test_what_is_read_back_from_a_measurement():
@@ -350,6 +367,60 @@ def test_what_is_read_back_from_a_measurement():
     mixed = {"length": 0.5, "extents.length": 2.5}
     assert read_back(as_it_is, "length", 2.6, mixed) == 2.6
     assert read_back(as_change, "length", 2.6, mixed) == pytest.approx(0.6)
+
+
+def followed(count, size, *, others=0.0):
+    """Draws of `size` parameters over unlike ranges, and what follows the first: 1.25 times it and 3, beside others."""
+    parameters = np.random.default_rng(count).uniform(-1, 1, (count, size)) * np.geomspace(0.3, 300, size) + 5
+    return parameters, 1.25 * parameters[:, 0] + 3 + others * parameters[:, 1:].sum(1)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6, 9, 40])
+def test_what_follows_one_parameter_alone_does_so_with_any_number_of_exemplars(count):
+    assert following_ratio(*followed(count, 5)[:1], 0, followed(count, 5)[1]) == pytest.approx(1.25)
+
+
+@pytest.mark.parametrize("count", [6, 7, 8, 40])
+def test_the_share_of_other_parameters_is_taken_out_where_they_can_be_told_apart(count):
+    parameters, values = followed(count, 5, others=0.4)
+    assert following_ratio(parameters, 0, values) == pytest.approx(1.25)
+    assert following_ratio(parameters[:, ::-1], 4, values) == pytest.approx(1.25)
+    held = np.column_stack([parameters, np.full(count, 7.0)])
+    assert following_ratio(held, 0, values) == pytest.approx(1.25)
+    assert following_ratio(held, 5, values) == 0.0
+
+
+@pytest.mark.parametrize("count", [4, 5, 7])
+def test_few_exemplars_are_read_back_as_many(count):
+    """A change of length, read off a box whose width makes it longer too: 0.1 m more measured is 0.1 m more of it."""
+    plain = small.boxes(count=count)
+    meshes = [box(length + 0.5 * width, width, 0.8) for length, width in plain.parameters]
+    exemplars = lampopt.Exemplars(
+        plain.parameters - [2.0, 0.0],
+        plain.space,
+        meshes,
+        plain.names,
+        unit="m",
+        measured={"length": "extents.length"},
+    )
+    found = small.bank(exemplars)
+    assert not is_itself(found, "length")
+    mixed = {"length": 0.5, "extents.length": 3.1}
+    assert read_back(found, "length", 3.2, mixed) == pytest.approx(0.6)
+
+
+def test_names_whose_curve_is_not_drawn_are_told(tmp_path):
+    """Fourteen parameters, all asked for in two values."""
+    plain = small.boxes()
+    space = tuple(Parameter(f"p{i}", "m") for i in range(14))
+    parameters = np.random.default_rng(0).uniform(1, 2, (len(plain), 14))
+    bank = small.bank(lampopt.Exemplars(parameters, space, plain.meshes, plain.names, unit="m"))
+    asked = [dict.fromkeys((q.name for q in space), value) for value in (1.4, 1.6)]
+    study, other = (lampopt.Study(bank, targets=targets, level="alpha") for targets in asked)
+    results = [lampopt.run(s, plugins=small.plugins()) for s in (study, other)]
+    found = Page(report(tmp_path, study, results).read_text(encoding="utf-8"))
+    assert found.said.count("is not measured") == 12
+    assert "12 of 14 names asked for in several values are drawn; not: p12, p13." in found.said
 
 
 # What is drawn

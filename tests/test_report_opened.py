@@ -1,6 +1,7 @@
 """The report as a reader meets it: opened in headless Chromium, every design clicked."""
 
 import importlib
+import re
 import sys
 from pathlib import Path
 
@@ -60,14 +61,27 @@ def test_without_shapes_there_is_still_a_page(tmp_path):
         ('<img src="http://127.0.0.1:9/x.png">', "it asked for"),
         ('<img src="data:image/webp;base64,AAAA">', "broken"),
         ("<style>#viewer { display: none }</style>", "shape: none"),
+        ("<style>.bars text { font-size: 30px }</style>", "crowded"),
+        ("<style>.card { padding-top: 0 } .card:last-child { padding-top: 9px }</style>", "uneven"),
     ],
-    ids=["script", "outside", "picture", "viewer"],
+    ids=["script", "outside", "picture", "viewer", "words", "gallery"],
 )
 def test_what_is_broken_is_seen(boxes, tmp_path, broken, said):
     """The looking itself: a fault that is put in is found. The page's own policy stops what comes from outside."""
     page = tmp_path / "broken.html"
     page.write_text(boxes.read_text(encoding="utf-8").replace("</header>", f"{broken}</header>"), encoding="utf-8")
     assert any(fault.startswith(said) for fault in bench.faults(bench.opened(page, BROWSER)))
+
+
+def test_what_is_put_into_the_page_does_not_run(boxes, tmp_path):
+    """The policy is what stops it: without it, all of it runs."""
+    assert bench.strangers(boxes, BROWSER) == []
+    bare = tmp_path / "bare.html"
+    policy = re.compile(r"<meta http-equiv=[^>]*>")
+    text, removed = policy.subn("", boxes.read_text(encoding="utf-8"))
+    assert removed == 1
+    bare.write_text(text, encoding="utf-8")
+    assert bench.strangers(bare, BROWSER) == list(bench.STRANGERS)
 
 
 @pytest.mark.slow

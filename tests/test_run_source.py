@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 import sys
+from contextlib import closing
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -81,12 +82,25 @@ def test_labels_are_what_the_study_measured(folder):
 
 
 def test_a_gap_in_the_labels_is_unlabelled(tmp_path):
-    swept(tmp_path, {"length": [2.2, 2.5]}, measures=())
-    folder = swept(tmp_path, {"length": [2.3]}, measures=("size",))
+    folder = swept(tmp_path, {"length": [2.2, 2.5]}, measures=())
+    with closing(sqlite3.connect(folder / "runs.sqlite")) as rows, rows:
+        rows.execute("UPDATE designs SET task = ''")  # as those of schema 1, which know no study
+    swept(tmp_path, {"length": [2.3]}, measures=("size",))
     found = Run(str(folder))()
     assert len(found) == 3
     volume = found.labels[:, [q.name for q in found.label_space].index("volume")]
-    assert np.isnan(volume[:2]).all() and volume[2] > 0
+    assert np.isnan(volume[1:]).all() and volume[0] > 0  # the one asked for last comes first
+
+
+def test_designs_of_other_studies_in_the_folder_teach_nothing(tmp_path, caplog):
+    """One target, two verdicts: only those of the study that is there count, each once."""
+    grid = {"length": [2.2, 2.9], "width": [1.2]}
+    swept(tmp_path, grid, limits={"alpha": 9.0})
+    folder = swept(tmp_path, grid, limits={"alpha": 0.01})
+    with pytest.raises(InputError, match=r"all 2 designs were rejected, by alpha \(2\)"):
+        Run(str(folder))()
+    assert len(Run(str(folder), accepted=False)()) == 2
+    assert "2 of 4 designs are of other studies and left out" in caplog.text
 
 
 def test_measured_values_take_the_place_of_predicted_ones(tmp_path):

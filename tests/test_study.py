@@ -319,3 +319,12 @@ def test_any_text_is_a_number_or_refused(text):
         assert isinstance(number(text, "m", "x"), float)
     except LampoptError as error:
         assert str(error).startswith("x: ")
+
+
+def test_the_largest_sweep_is_read_back_and_what_is_larger_is_not_written(tmp_path):
+    values = tuple(np.nextafter(1.0, 2.0) * (1 + i * 1e-5) for i in range(100_000))  # with all their digits
+    study = Study("a.lamp", sweep={"length": values})
+    (tmp_path / "study.toml").write_text(study.to_toml())
+    assert Study.read(tmp_path / "study.toml").sweep["length"] == values
+    with pytest.raises(StudyError, match=r"bytes as TOML, of which at most 4,194,304 are read back: sweep parts of it"):
+        Study("a.lamp", sweep={"length": [f"{i:040d} mm" for i in range(100_000)]}).to_toml()

@@ -5,6 +5,7 @@ import json
 import logging
 import multiprocessing
 import os
+import signal
 import sqlite3
 import sys
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 import lampopt
-from lampopt import Study
+from lampopt import Study, results
 from lampopt.errors import InputError, PluginError, StudyError, SweepError
 
 HERE = Path(__file__).parent
@@ -166,6 +167,33 @@ def test_any_executor(bank, tmp_path):
         next(sweep(Study(bank), tmp_path / "other", over))
 
 
+class Strange:
+    """An executor of threads that is none of the standard library's."""
+
+    def __init__(self):
+        self.inner = ThreadPoolExecutor(1)
+
+    def submit(self, function, /, *arguments):
+        return self.inner.submit(function, *arguments)
+
+
+def test_what_ctrl_c_does_in_somebodys_own_process_is_left_alone(bank, tmp_path):
+    """A job in the background of a shell ignores it: that does not make its threads workers of ours."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        alone = [told(r) for r in sweep(Study(bank), tmp_path / "alone")]
+        for executor in (Strange(), Eager()):
+            assert [told(r) for r in sweep(Study(bank), tmp_path / type(executor).__name__, executor)] == alone
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_our_own_processes_can_be_interrupted_in_a_design_and_nowhere_else():
+    with lampopt.workers.processes(1) as executor:
+        assert executor.submit(lethal.interruptible).result() == (True, False, True)
+
+
 def test_what_a_worker_raises_is_raised_here(bank, tmp_path, processes):
     study = Study(bank, measures=("garbage",))
     with pytest.raises(PluginError, match=r"measure .garbage.: expected values of shape"):
@@ -277,3 +305,36 @@ def test_interrupted_says_what_is_left(bank, tmp_path, caplog):
         assert f"interrupted: 3 of 8 designs are done and kept in {tmp_path}; the same sweep goes on" in caplog.text
     assert len(rows(tmp_path)) == 3
     assert len(list(sweep(Study(bank), tmp_path))) == 8
+
+
+def test_results_come_in_the_sweeps_order_whoever_was_done_first(tmp_path):
+    """The first design waits for the last: recorded the other way round, read back as asked."""
+    import threading
+
+    done = threading.Event()
+
+    class Late(ThreadPoolExecutor):
+        def submit(self, call, task, target, mix):
+            def work():
+                if target["length"] == 2.1:
+                    assert done.wait(60)
+                answer = call(task, target, mix)
+                if target["length"] == 2.3:
+                    done.set()
+                return answer
+
+            return super().submit(work)
+
+    study = Study(small.bank(), level="alpha")
+    grid = {"length": [2.1, 2.2, 2.3]}
+    with Late(2) as executor:
+        swept = list(lampopt.sweep(study, grid, tmp_path, executor=executor, report=False, plugins=small.plugins()))
+    with closing(sqlite3.connect(tmp_path / "runs.sqlite")) as database:
+        written = [json.loads(t)["length"] for (t,) in database.execute("SELECT target FROM designs ORDER BY rowid")]
+    assert written[-1] == 2.1
+    read = [result.design.target["length"] for result in results(tmp_path, plugins=small.plugins())]
+    assert read == [result.design.target["length"] for result in swept] == grid["length"]
+    grown = {"length": [2.4, 2.3, 2.05, 2.1]}  # the same study: its designs in the new order, then the one left over
+    list(lampopt.sweep(study, grown, tmp_path, report=False, plugins=small.plugins()))
+    read = [result.design.target["length"] for result in results(tmp_path, plugins=small.plugins())]
+    assert read == [*grown["length"], 2.2]

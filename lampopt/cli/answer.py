@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lampopt.cli.show import plain
 from lampopt.errors import LampoptError
 from lampopt.progress import console
 
@@ -66,7 +67,8 @@ class Command(click.Command):
             _print_json(answer.document)
         else:
             for item in answer.shown:
-                console().print(item, soft_wrap=not hasattr(item, "columns"))  # text goes on one line, tables fold
+                whole = hasattr(item, "columns")  # text goes on one line, tables fold
+                console().print(item if whole else plain(item), soft_wrap=not whole)
         return answer.code
 
 
@@ -84,7 +86,8 @@ def refuse(kind: str, message: str, code: int, *, as_json: bool) -> int:
     else:
         from rich.text import Text
 
-        console().print(Text.assemble(("error: " if code == WRONG else "", "bold red"), message), soft_wrap=True)
+        said = Text.assemble(("error: " if code == WRONG else "", "bold red"), message)
+        console().print(plain(said), soft_wrap=True)
     return code
 
 
@@ -106,7 +109,7 @@ class _ToConsole(logging.Handler):
     """Through the console, so that a line does not tear a progress bar."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        console().print(self.format(record), soft_wrap=True)
+        console().print(plain(self.format(record)), soft_wrap=True)
 
 
 def _verbose(_: click.Context, __: click.Parameter, on: bool) -> None:

@@ -20,11 +20,12 @@ from lampopt.loop import sweep as sweep_study
 from lampopt.meshfile import FORMATS
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
-from lampopt.record import export_mesh, passport
+from lampopt.record import passport
 from lampopt.solve import column
 from lampopt.study import Study, Value
 from lampopt.types import LEVELS, Bank, Check, Needs, Result
 from lampopt.workers import processes
+from lampopt.written import export_mesh
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

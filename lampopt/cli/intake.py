@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -21,8 +22,10 @@ from lampopt.intake import wrap as wrapped
 from lampopt.meshfile import FORMATS, SUFFIXES, load_mesh
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
-from lampopt.record import export_mesh
+from lampopt.reading import brief, why
 from lampopt.types import Exemplars
+from lampopt.units import factor
+from lampopt.written import export_mesh
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -62,6 +65,7 @@ def intake(
         lampopt intake car.obj suv.dae more_cars/
         lampopt intake --source plate
     """
+    factor(unit, "m", "--unit")  # raises where it is no length
     found, family = _exemplars(what, meshes, unit, source, settings)
     with progress_bar("intake") as progress:
         report = look(found, repair=repair, accept=ALL if ALL in accept else accept, fellows=family, progress=progress)
@@ -89,6 +93,11 @@ def wrap(mesh: Path, gap: float, resolution: int, out: Path) -> Answer:
         lampopt wrap suv.obj --gap 0.05 --out suv_wrapped.ply
     """
     can_be_written("--out", out)
+    same = False
+    with suppress(OSError, ValueError):  # a file that is not there is told where it is read
+        same = out.samefile(mesh)
+    if same:
+        raise InputError(f"--out {brief(out)}: is the mesh that is to be wrapped: name another file")
     made = wrapped(load_mesh(mesh), gap=gap, resolution=resolution)
     export_mesh(made, out)
     extents = [float(x) for x in made.extents]
@@ -120,10 +129,14 @@ def _exemplars(
 def _files(what: Sequence[Path]) -> Iterator[str]:
     """Mesh files as they are named, and those in folders."""
     for path in what:
-        if not path.is_dir():
+        try:
+            folder = path.is_dir()
+            inside = sorted(str(f) for f in path.iterdir() if f.suffix.lower() in SUFFIXES) if folder else []
+        except OSError as error:  # a name that is too long, a folder that may not be entered
+            raise InputError(f"{brief(path)}: cannot be opened: {why(error)}") from error
+        if not folder:
             yield str(path)
             continue
-        inside = sorted(str(file) for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
         if not inside:
             raise InputError(f"{path}: expected a folder with {', '.join(SUFFIXES)} files, got none of them")
         yield from inside

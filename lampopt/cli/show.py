@@ -14,17 +14,26 @@ if TYPE_CHECKING:
 GOOD, BAD = "green", "bold red"
 
 
+def plain(value: object) -> Text:
+    """`value` as text, its styles kept, without what a terminal would obey: names of files may hold anything."""
+    from rich.text import Text
+
+    text = value.copy() if isinstance(value, Text) else Text(str(value))
+    text.plain = "".join(c if c.isprintable() or c == "\n" else " " for c in text.plain)
+    return text
+
+
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], *, right: Sequence[str] = ()) -> Table:
     """A table of texts as they stand (brackets are units, no markup); the columns in `right` hold numbers."""
     from rich import box
     from rich.table import Table
-    from rich.text import Text
 
-    made = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_header=any(columns))
+    shape = box.SIMPLE_HEAD
+    made = Table(title=plain(title), title_justify="left", box=shape, pad_edge=False, show_header=any(columns))
     for column in columns:
-        made.add_column(Text(column), justify="right" if column in right else "left", overflow="fold")
+        made.add_column(plain(column), justify="right" if column in right else "left", overflow="fold")
     for row in rows:
-        made.add_row(*(cell if isinstance(cell, Text) else Text(str(cell)) for cell in row))
+        made.add_row(*(plain(cell) for cell in row))
     return made
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from math import comb, exp, log
+from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,18 +17,13 @@ import numpy as np
 from lampopt.intake.edges import arrays
 from lampopt.intake.facing import facing
 from lampopt.intake.records import Finding, Health
+from lampopt.intake.sizes import FEW, WIDE, diagonal, sizes
 from lampopt.metrics import sample_surface
 from lampopt.types import Array, Parameter
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-FEW = 4  # meshes below which nothing is usual
-FACTOR = 5.0  # of the usual size, from which on a size is odd
-UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048, "m": 1.0, "km": 1e3}  # [m]
-NEAR = 1.6  # factor within which a size is explained by another unit
-WILD = 30.0  # of the usual size, from which on no unit is needed to refuse
-WIDE = 6.0  # times what is usual among fellows, from which on a difference is odd
 AWAY = 1.0  # usual sizes away from the usual place
 RARE = 0.1  # share of the meshes up to which a genus or number of bodies is odd
 MAJORITY = 0.75  # share that makes one usual
@@ -62,9 +57,9 @@ class Fellows:
 
     def findings(self, mesh_of: Callable[[str], Trimesh]) -> Iterator[Finding]:
         """What is odd about whom; `mesh_of` gives one mesh by name."""
-        sizes = list(_sizes(self._health, self._unit))
-        yield from sizes
-        scaled = {finding.exemplar for finding in sizes}  # their place follows from their size
+        odd = list(sizes(self._health, self._unit, np.array(self._parameters)))
+        yield from odd
+        scaled = {finding.exemplar for finding in odd}  # their place follows from their size
         yield from _places([h for h in self._health if h.name not in scaled], self._unit)
         yield from self._facing(mesh_of)
         yield from _shapes(self._health)
@@ -88,56 +83,11 @@ class Fellows:
                 yield Finding(names[i], "facing", "note", f"{about}; {why}")
 
 
-def _diagonal(health: Health) -> float:
-    return float(np.linalg.norm(health.extents))
-
-
-def _sizes(family: Sequence[Health], unit: str) -> Iterator[Finding]:
-    known = [h for h in family if _diagonal(h) > 0]
-    if len(known) < 2:
-        return
-    logs = np.log([_diagonal(h) for h in known])
-    for i, health in enumerate(known):
-        others = np.delete(logs, i) if len(known) < FEW else logs
-        usual = float(np.median(others))
-        spread = float(np.median(np.abs(others - usual)))
-        ratio = exp(logs[i] - usual)
-        if abs(log(ratio)) <= max(log(FACTOR), WIDE * spread):
-            continue
-        guess = _unit_of(ratio, unit)
-        if len(known) < FEW and guess is None:
-            continue  # of two or three, who is to say which is odd
-        about = f"expected a diagonal near {exp(usual):.3g} {unit}, as its fellows have, got {_diagonal(health):.3g}"
-        times = f"{ratio:.3g} times as large" if ratio > 1 else f"{1 / ratio:.3g} times as small"
-        if guess is not None:
-            why = f"as a file in {guess} among files in {unit}; scale it by {UNITS[guess] / UNITS[unit]:.4g}"
-            yield Finding(health.name, "size", "refused", f"{about}: {times}, {why}")
-        elif (unit not in UNITS and _by_a_unit(ratio)) or max(ratio, 1 / ratio) > WILD:
-            why = "is it in another unit? Scale or remove it"
-            yield Finding(health.name, "size", "refused", f"{about}: {times}; {why}")
-        else:
-            yield Finding(health.name, "size", "doubtful", f"{about}: {times}; look at it, and accept or remove it")
-
-
-def _unit_of(ratio: float, unit: str) -> str | None:
-    """The unit that a mesh would be in if `ratio` came of taking it to be in `unit`."""
-    if unit not in UNITS:
-        return None
-    away = {other: abs(log(ratio * size / UNITS[unit])) for other, size in UNITS.items() if other != unit}
-    best = min(away, key=lambda other: away[other])
-    return best if away[best] <= log(NEAR) else None
-
-
-def _by_a_unit(ratio: float) -> bool:
-    factors = {abs(log(a / b)) for a in UNITS.values() for b in UNITS.values() if a != b}
-    return any(abs(abs(log(ratio)) - factor) <= log(NEAR) for factor in factors)
-
-
 def _places(family: Sequence[Health], unit: str) -> Iterator[Finding]:
     if len(family) < FEW:
         return
     centres = np.array([h.centre for h in family])
-    size = float(np.median([_diagonal(h) for h in family]))
+    size = float(np.median([diagonal(h) for h in family]))
     usual = np.median(centres, axis=0)
     away = np.linalg.norm(centres - usual, axis=1)
     limit = max(AWAY * size, WIDE * float(np.median(away)))

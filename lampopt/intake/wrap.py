@@ -48,7 +48,8 @@ def wrap(mesh: Trimesh, *, gap: float, resolution: int = 0) -> Trimesh:
     from scipy.ndimage import binary_propagation
     from trimesh import Trimesh
 
-    if not indexed(mesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+    whole = isinstance(mesh, Trimesh) and indexed(mesh)
+    if not whole or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         raise InputError("wrap: expected a mesh with faces and finite vertices")
     vertices, faces = arrays(mesh)  # about the middle, 1 long
     low, high = vertices[faces].min((0, 1)), vertices[faces].max((0, 1))
@@ -79,7 +80,8 @@ def wrap(mesh: Trimesh, *, gap: float, resolution: int = 0) -> Trimesh:
 
 
 def _cells(longest: float, gap: float, resolution: int) -> float:
-    if not (isinstance(gap, (int, float, np.number)) and np.isfinite(gap) and 0 < gap < longest):
+    real = isinstance(gap, (int, float, np.number)) and not isinstance(gap, bool)
+    if not (real and np.isfinite(gap) and 0 < gap < longest):
         raise InputError(f"gap: expected a length above 0 and below the mesh's {longest:.4g}, got {gap!r}")
     whole = isinstance(resolution, (int, np.integer)) and not isinstance(resolution, bool)
     least = ceil(2 * longest / gap)

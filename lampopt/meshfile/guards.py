@@ -30,6 +30,7 @@ PLY_TYPES = {  # names by bytes
 }
 PLY_SIZES = {name: size for size, names in PLY_TYPES.items() for name in names}
 NO_SHAPE = re.compile(rb"(?m)^[ \t]*(?:usemtl|mtllib|o|g|s)(?:[ \t][^\n]*)?$")  # OBJ: each group would be a mesh
+INDENT = re.compile(rb"(?m)(?<!\\\n)(?<!\\\r\n)^[ \t\v\f]+")  # OBJ: trimesh skips such lines, silently
 PLY_HEADER = 2**20  # bytes: room for long comments
 PLY_PROPERTIES = 1000
 PLY_ELEMENTS = 64
@@ -192,9 +193,9 @@ def parsed(data: bytes, suffix: str) -> tuple[int, Mapping[str, Any]]:
         return text_stl(data)
     from trimesh.exchange.load import mesh_loaders
 
-    promised = GUARDS[suffix](data)
     if suffix == ".obj":
-        data = NO_SHAPE.sub(b"", data)
+        data = NO_SHAPE.sub(b"", INDENT.sub(b"", data)).replace(b"\t", b" ")
+    promised = GUARDS[suffix](data)
     load: Any = mesh_loaders[suffix[1:]]
     # Bytes instead of the file: a parser that knew where it lies could open what it names beside itself.
     return promised, load(io.BytesIO(data), file_type=suffix[1:], resolver=None, skip_materials=True)

@@ -12,6 +12,7 @@ import numpy as np
 ORDER = ("bad", "known", "ok")  # the accepted on top
 MOST = 1500  # points drawn; figures are over all
 DUST = 1e-12  # smaller values are shown as 0
+LETTER, VALUE = 7.4, 54  # pixels that a letter, and that a figure beside its bar, may take
 CAP = 100.0  # a score beyond it is drawn there
 
 
@@ -189,16 +190,17 @@ def scores(points: Sequence[Point], title: str) -> str:
 
 def bars(rows: Sequence[tuple[str, float, str, str]], title: str, *, width: int = 420) -> str:
     """Horizontal bars: name, value, what is written at its end, kind. Negative values go to the left of zero."""
-    names = min(max((len(name) for name, *_ in rows), default=0) * 6.6 + 10, width * 0.42)
+    names = min(max((len(name) for name, *_ in rows), default=0) * LETTER + 14, width * 0.42)
     low, high = min([0.0, *(v for _, v, *_ in rows)]), max([0.0, *(v for _, v, *_ in rows)])
-    room = width - names - (104 if low < 0 else 62)
+    room = width - names - (VALUE + 8 if low < 0 else 0) - VALUE - 8
     scale = room / ((high - low) or 1.0)
-    zero = names + (42 if low < 0 else 0) - low * scale
+    zero = names + (VALUE if low < 0 else 0) - low * scale
     found, height = [], 22 * len(rows) + 8
     for i, (name, value, text, kind) in enumerate(rows):
         y, long = 4 + 22 * i, abs(value) * scale
         x = zero if value >= 0 else zero - long
-        cut = name if len(name) * 6.6 < names else name[: int(names / 6.6) - 1] + "…"
+        most = int((names - 14) / LETTER + 1e-9)
+        cut = name if len(name) <= most else name[: most - 1] + "…"
         found.append(f"<g>{tag('title', name)}{tag('text', cut, x=names - 8, y=y + 15, text_anchor='end')}</g>")
         found.append(
             f'<rect class="bar {kind}" x="{x:.1f}" y="{y + 3}" width="{max(long, 1):.1f}" height="16" rx="2"/>'

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from lampopt.solve import Column, columns
-from lampopt.types import Array, Bank, Check, Result
+from lampopt.types import Array, Bank, Result
 
 T = TypeVar("T")
 FEW = 10  # of the accepted and of the rejected are shown, if there are so many
@@ -108,17 +108,6 @@ def gather(results: Iterable[Result], bank: Bank, most: int) -> Gathered:
     return Gathered(tuple(lines), dict(sorted([*kept[True].take(room), *kept[False].take(most - room)])))
 
 
-def score(check: Check) -> float:
-    """How much of its limit a check takes: above 1 it fails; 0 where it tells nothing."""
-    if check.limit is None or (check.sense == "=" and check.passed):
-        return 0.0
-    above, below = (check.value, check.limit) if check.sense == "<=" else (check.limit, check.value)
-    share = above / below if below > 0 and above >= 0 and check.sense != "=" else float("nan")
-    if check.passed:
-        return min(share, 1.0) if share == share else 0.0
-    return max(share, 1.0) if share == share else float("inf")
-
-
 def predicted(bank: Bank, alpha: Array) -> dict[str, float]:
     """What a mix should have, by everything that can be asked for; NaN where an exemplar in the mix has no value."""
     return {name: _mixed(found, alpha) for name, found in columns(bank).items()}
@@ -133,8 +122,8 @@ def _line(number: int, result: Result, bank: Bank, known: Mapping[str, Column]) 
     asked, alpha = dict(result.design.target), result.design.mix.alpha
     names = [*asked, *(bank.measured_by[name] for name in asked if name in bank.measured_by)]
     mixed = {name: _mixed(known[name], alpha) for name in names if name in known}
-    scores = [(score(check), check.name) for check in result.checks]
-    worst = max(scores, key=lambda pair: pair[0], default=(0.0, ""))
+    worst = max(result.checks, key=lambda check: check.score, default=None)
     failed = tuple(check.name for check in result.checks if not check.passed)
     values = {c.name: (c.value, c.unit) for c in result.checks if c.sense == "info" and "." in c.name}
-    return Line(number, asked, mixed, result.accepted, failed, worst[1], worst[0], values)
+    name = "" if worst is None else worst.name
+    return Line(number, asked, mixed, result.accepted, failed, name, result.score, values)

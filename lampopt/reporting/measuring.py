@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.measured import resolve_address, values_of
+from lampopt.measured import following_ratio, resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.types import Array, Bank
 from lampopt.units import factor, filled
@@ -63,21 +63,13 @@ def read_back(bank: Bank, parameter: str, value: float, mixed: Mapping[str, floa
     """
     if is_itself(bank, parameter):
         return value
-    slope = _slope(bank, parameter)
+    place = [q.name for q in bank.space].index(parameter)
+    ratio = following_ratio(bank.parameters, place, _columns(bank, parameter)[1])
     off = value - mixed[bank.measured_by[parameter]]
-    return mixed[parameter] + off / slope if slope else float("nan")
+    return mixed[parameter] + off / ratio if ratio else float("nan")
 
 
 def _columns(bank: Bank, parameter: str) -> tuple[Array, Array]:
     """Values (N,) of a parameter and of its measurement over the exemplars."""
     at = [q.name for q in bank.space].index(parameter)
     return bank.parameters[:, at], bank.measured[:, list(bank.measured_by).index(parameter)]
-
-
-def _slope(bank: Bank, parameter: str) -> float:
-    """How much the measurement changes with its parameter, the other parameters' share taken out where N allows."""
-    _, read = _columns(bank, parameter)
-    at = [q.name for q in bank.space].index(parameter)
-    others = np.delete(bank.parameters, at, 1) if len(bank) >= len(bank.space) + 4 else bank.parameters[:, :0]
-    rows = np.column_stack([bank.parameters[:, at], others, np.ones(len(bank))])
-    return float(np.linalg.lstsq(rows, read, rcond=None)[0][0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Any
@@ -37,7 +37,7 @@ from lampopt.types import Array, Bank
 from lampopt.units import factor
 
 ROWS = 1000  # of the table of all designs
-CURVES = 12
+CURVES = 12  # at most
 log = logging.getLogger("lampopt")
 
 
@@ -56,6 +56,7 @@ def page(run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures)
         n: _marked(detail(bank, f"d{n}", _title(n, gathered), r, seen[n], study)) for n, r in gathered.shown.items()
     }
     curves, any_measured = _curves(study, bank, gathered, seen, swept)
+    drawn_names = {curve["name"] for curve in curves}
     meshes = [
         *((f"d{n}", s.packed) for n, s in seen.items()),
         *((f"e{i}", s.packed) for i, s in drawn.exemplars.items()),
@@ -89,6 +90,7 @@ def page(run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures)
         "views": drawn.views,
         "curves": curves,
         "any_measured": any_measured,
+        "curves_note": _curves_note(swept, [name for name in swept if name not in drawn_names]),
         "rejections": Markup(_rejections(gathered)),
         "scores": Markup(_scores(gathered, seen)),
         "map": _map(bank, lines, seen, drawn.exemplars),
@@ -152,7 +154,7 @@ def _point(line: Line, seen: Mapping[int, Shown], x: float, y: float, said: str)
 def _curves(
     study: Study, bank: Bank, gathered: Gathered, seen: Mapping[int, Shown], swept: list[str]
 ) -> tuple[list[dict[str, Any]], bool]:
-    """A chart for each name that was asked for in several values: measured where it can be, else as mixed."""
+    """A chart for each of the first names asked for in several values: measured where it can be, else as mixed."""
     from markupsafe import Markup
 
     found, any_measured = [], False
@@ -188,6 +190,15 @@ def _curves(
             {"svg": Markup(svg), "name": name, "said": _said(study, bank, name, measured, points, gathered, r2)}
         )
     return found, any_measured
+
+
+def _curves_note(swept: Sequence[str], left: Sequence[str]) -> str:
+    """Which names are not drawn, if any."""
+    if not left:
+        return ""
+    return (
+        f"{len(swept) - len(left)} of {len(swept)} names asked for in several values are drawn; not: {', '.join(left)}."
+    )
 
 
 def _said(

@@ -9,7 +9,7 @@ import numpy as np
 
 from lampopt.reporting.charts import bars, number
 from lampopt.reporting.figures import Shown
-from lampopt.reporting.gather import Gathered, Line, predicted, score
+from lampopt.reporting.gather import Gathered, Line, predicted
 from lampopt.reporting.measuring import is_itself, read_back
 from lampopt.solve import columns
 from lampopt.study import Study
@@ -41,7 +41,7 @@ def reason(check: Check) -> str:
 
 def check_row(check: Check) -> dict[str, Any]:
     """One row of a table of checks; `share` is how far its gauge goes (two thirds are the limit), or None."""
-    share = score(check)
+    share = check.score
     drawn = check.limit is not None and check.sense != "="
     least = {"<=": "≤ ", ">=": "≥ ", "=": "= ", "info": ""}[check.sense]
     return {
@@ -79,7 +79,7 @@ def detail(bank: Bank, key: str, title: str, result: Result, shown: Shown, study
         "values": _values(bank, result, shown),
         "starred": any(not is_itself(bank, name) for name in shown.measured),
         "alpha": bars(rows, "coefficients of the mix by exemplar", width=520),
-        "mix": f"The mix is {mix.status}: {'; '.join(said)}. They sum to 1; their length is {number(size)}.{more}",
+        "mix": f"The mix is {mix.status}: {'; '.join(said)}. They sum to 1; ‖alpha‖ is {number(size)}.{more}",
         "reference": None if shown.reference is None else bank.names[shown.reference],
         "pictures": shown.pictures,
     }

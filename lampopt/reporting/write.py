@@ -9,6 +9,7 @@ from pathlib import Path
 
 from lampopt.errors import InputError
 from lampopt.plugins import Plugins
+from lampopt.reading import path_of, why
 from lampopt.reporting.figures import figures
 from lampopt.reporting.gather import gather
 from lampopt.reporting.page import page
@@ -52,7 +53,7 @@ def write_report(
     InputError
         If there is no result, or the file cannot be written.
     """
-    folder = Path(folder)
+    folder = path_of(folder, "folder")
     path = folder / "report.html" if out is None else Path(out)
     gathered = gather(results, bank, MOST)
     if not gathered.lines:
@@ -68,8 +69,8 @@ def write_report(
     text = page(folder.absolute().name, study, bank, gathered, drawn)
     aside = path.with_name(path.name + ".writing")
     try:
-        aside.write_text(text, encoding="utf-8")
+        aside.write_bytes(text.encode(errors="replace"))  # a folder's name may have bytes in it that are no text
         os.replace(aside, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise InputError(f"{path}: cannot be written: {why(error)}") from error
     return path

@@ -127,12 +127,17 @@ def normalisable(values: Array, names: Sequence[str], what: str) -> None:
             )
 
 
+def whole(text: str, what: str) -> None:
+    """Raise InputError where `text` cannot be written to a file: it holds half of a character."""
+    if any("\ud800" <= c <= "\udfff" for c in text):
+        raise InputError(f"{what}: expected text, got {text!r}, half of a character in it")
+
+
 def unique(names: Sequence[str], what: str) -> None:
     """Raise InputError naming the first of `names` that occurs twice, or cannot be written to a file."""
     seen: set[str] = set()
     for name in names:
-        if any("\ud800" <= c <= "\udfff" for c in name):
-            raise InputError(f"{what} names: expected text, got {name!r}, half of a character in it")
+        whole(name, f"{what} names")
         if name in seen:
             raise InputError(f"{what} names: expected distinct ones, got {name!r} twice")
         seen.add(name)

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.types.arrays import Array, Table, assign, frozen_array, frozen_arrays, normalisable, tuple_of, unique
+from lampopt.types.arrays import (
+    Array,
+    Table,
+    assign,
+    frozen_array,
+    frozen_arrays,
+    normalisable,
+    tuple_of,
+    unique,
+    whole,
+)
 from lampopt.types.calibration import Calibration
 
 if TYPE_CHECKING:
@@ -36,6 +46,8 @@ class Parameter:
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and isinstance(self.unit, str)):
             raise InputError(f"parameter: expected texts as name and unit, got {self.name!r} and {self.unit!r}")
+        whole(self.name, "parameter name")
+        whole(self.unit, f"unit of {self.name!r}")
         if not self.name or self.name != self.name.strip() or any(c in self.name for c in ".[]=\n"):
             raise InputError(f"parameter name {self.name!r}: expected text without '.', '[', ']', '=' or outer blanks")
         for value in (self.low, self.high):

@@ -12,6 +12,8 @@ import numpy as np
 
 import lampopt
 from lampopt.errors import InputError
+from lampopt.measured import following_ratio
+from lampopt.reading import brief, plain_file
 from lampopt.types import Array, Bank, Check, Exemplars, Parameter, Result
 
 if TYPE_CHECKING:
@@ -25,7 +27,9 @@ TEMPORARY = "lampopt-run-"
 
 @dataclass(frozen=True)
 class Run:
-    """The designs of a run folder that have a mesh, in the order recorded; each is named after its folder.
+    """The designs of a run folder that have a mesh, in the order of its last sweep; each is named after its folder.
+
+    They are those of the study that was asked last; what others left in the folder is left out.
 
     Parameters
     ----------
@@ -86,11 +90,13 @@ class Run:
             If there is no run in the folder, no design that is wanted, or none that has a mesh.
         """
         folder = Path(self.folder)
-        if not (folder / "study.toml").is_file():
+        try:
+            plain_file(folder / "study.toml")
+        except InputError as error:
             raise InputError(
-                f"run {folder}: expected a folder written by lampopt.run or lampopt.sweep, with study.toml and "
-                f"runs.sqlite in it; a relative path starts at {Path.cwd()}"
-            )
+                f"run {brief(folder)}: expected a folder written by lampopt.run or lampopt.sweep, with study.toml and "
+                f"runs.sqlite in it: {error}"
+            ) from error
         bank = lampopt.Study.read(folder / "study.toml").opened()
         found = self._wanted(folder)
         space = tuple(Parameter(q.name, q.unit) for q in bank.space)
@@ -214,17 +220,8 @@ def _measured(parameters: Array, found: Sequence[Result], bank: Bank, folder: Pa
                     "parameters='predicted'"
                 )
             off = check.value * _factor(check.unit, bank.space[place].unit) - float(result.design.mix.alpha @ known)
-            values[row, place] += off / _ratio(bank, place, known)
+            values[row, place] += off / (following_ratio(bank.parameters, place, known) or 1.0)
     return values
-
-
-def _ratio(bank: Bank, place: int, measured: Array) -> float:
-    """By how much a measured value grows with its parameter alone: least squares over the bank."""
-    centred = bank.parameters - bank.parameters.mean(axis=0)
-    scale = np.ptp(centred, axis=0)
-    scale[scale == 0] = 1
-    slopes = np.linalg.lstsq(centred / scale, measured - measured.mean(), rcond=None)[0] / scale
-    return float(slopes[place]) or 1.0
 
 
 def _factor(unit: str, to: str) -> float:
