@@ -13,7 +13,8 @@ from rich.table import Table
 
 import lampopt
 from lampopt.progress import progress_bar
-from lampopt.record import export_mesh, passport
+from lampopt.record import passport
+from lampopt.written import export_mesh
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "demo")
 folder.mkdir(parents=True, exist_ok=True)
