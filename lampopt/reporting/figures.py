@@ -217,8 +217,9 @@ def packed(shape: Drawn, spread: float | None) -> Packed:
     corners = shape.faces.astype("<u2" if count <= 65536 else "<u4")
     look = np.column_stack([np.round(shape.normals * 127).astype(np.int8), (shape.sky * 127).astype(np.int8)])
     parts = [where.tobytes(), corners.tobytes(), look.astype(np.int8).tobytes()]
-    coloured = shape.distance is not None and spread is not None
-    if coloured:
-        parts.append(np.round(np.clip(shape.distance / spread, -1, 1) * 127).astype(np.int8).tobytes())  # type: ignore[operator]
+    coloured = False
+    if shape.distance is not None and spread is not None:
+        coloured = True
+        parts.append(np.round(np.clip(shape.distance / spread, -1, 1) * 127).astype(np.int8).tobytes())
     data = base64.b64encode(b"".join(parts)).decode()
     return Packed(data, count, len(shape.faces), coloured, shape.half)

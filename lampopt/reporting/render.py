@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from dataclasses import dataclass
+from math import cos, radians, sin
 
 import numpy as np
 
@@ -40,10 +41,9 @@ def views(long: int) -> tuple[View, ...]:
     """Three-quarter, side, front and top view of shapes whose longer horizontal axis is `long`, 0 or 1; up is z."""
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     back, left = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
-    turn, lift = np.radians(-58 if long == 0 else 32), np.radians(24)
-    right = (-np.sin(turn), np.cos(turn), 0.0)
-    up = (-np.sin(lift) * np.cos(turn), -np.sin(lift) * np.sin(turn), np.cos(lift))
-    three = View("three-quarter", tuple(map(float, right)), tuple(map(float, up)), "", shadow=True)  # type: ignore[arg-type]
+    turn, lift = radians(-58 if long == 0 else 32), radians(24)
+    up = (-sin(lift) * cos(turn), -sin(lift) * sin(turn), cos(lift))
+    three = View("three-quarter", (-sin(turn), cos(turn), 0.0), up, "", shadow=True)
     if long == 0:
         return (
             three,
