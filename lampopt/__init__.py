@@ -4,6 +4,7 @@ from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.exemplars import exemplars
 from lampopt.extrapolation import extrapolation_volume
+from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
 from lampopt.hookspecs import hookimpl
 from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
@@ -31,9 +32,13 @@ __all__ = [
     "design",
     "exemplars",
     "extrapolation_volume",
+    "fit_model",
+    "fit_surrogate",
     "hookimpl",
     "intake",
     "load_bank",
+    "load_measure",
+    "load_model",
     "measure",
     "remove_exemplars",
     "report",

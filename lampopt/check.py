@@ -15,8 +15,8 @@ import numpy as np
 
 from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError
 from lampopt.measured import resolve_address, values_of
-from lampopt.plugins import Plugins
-from lampopt.protocols import Checker, Decoder, DesignChecks, Measure
+from lampopt.plugins import Plugins, returned
+from lampopt.protocols import Checker, Decoder, DesignChecks, Interval, Measure
 from lampopt.solve import Posed
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Check, Design, Mix, Needs
@@ -35,6 +35,7 @@ DEFAULTS: Mapping[str, float] = {
     "drift": 0.05,  # [range of the measured value over the bank]
     "clearance": 1.5,  # between the surface and the box [cells]
 }
+LEVEL = 0.9  # coverage of the intervals that are told
 BAND = 0.05  # half the width of the narrow band about the surface [box]
 
 
@@ -228,20 +229,29 @@ class _Measured:
         return float(values[place]) * factor(filled(measure.units[place], length), unit, address)
 
 
-def measure_checks(bank: Bank, mesh: Trimesh, measures: Sequence[str], plugins: Plugins) -> list[Check]:
-    """Values that a study wants to know; they judge nothing."""
+def measure_checks(bank: Bank, mesh: Trimesh, measures: Mapping[str, Measure]) -> list[Check]:
+    """Values that a study wants to know; they judge nothing.
+
+    One that was learned says how far to trust it: its interval, and whether the shape is outside what it knows.
+    """
     found = []
-    for name in measures:
-        measure: Measure = plugins.make("measure", name)
+    for name, measure in measures.items():
         try:
-            values, note = values_of(name, measure, mesh), ""
+            values = values_of(name, measure, mesh)
+            notes = _trust(name, measure, mesh) if isinstance(measure, Interval) else [""] * len(values)
         except (MeasureError, EmptyMesh) as error:
-            values, note = np.full(len(measure.names), np.nan), str(error)
-        for value, label, unit in zip(values, measure.names, measure.units, strict=True):
+            values, notes = np.full(len(measure.names), np.nan), [str(error)] * len(measure.names)
+        for value, label, unit, note in zip(values, measure.names, measure.units, notes, strict=True):
             found.append(
                 Check(f"{name}.{label}", float(value), "info", None, filled(unit, bank.frame.unit), "mesh", note)
             )
     return found
+
+
+def _trust(name: str, measure: Interval, mesh: Trimesh) -> list[str]:
+    ends = returned(f"measure {name!r}: interval", measure.interval(mesh, LEVEL), (None, 2))
+    outside = "; outside what it was made for" if measure.outside(mesh) else ""
+    return [f"{LEVEL:.0%} interval {low:.6g} to {high:.6g}{outside}" for low, high in ends]
 
 
 def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker], needs: Needs) -> list[Check]:

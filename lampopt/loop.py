@@ -37,18 +37,22 @@ MOST = 100_000  # combinations of a sweep
 log = logging.getLogger("lampopt")
 
 
-def measure(name: str | Spec, mesh: Trimesh, *, plugins: Plugins | None = None) -> dict[str, float]:
-    """The values of measure `name` on `mesh` [the mesh's unit], by name.
+def measure(name: str | Spec | Measure, mesh: Trimesh, *, plugins: Plugins | None = None) -> dict[str, float]:
+    """The values of a measure, an installed one or an object, on `mesh` [the mesh's unit], by name.
 
     Raises
     ------
     MeasureError
         If a feature is not there.
     """
-    made: Measure = (plugins or Plugins.load().report()).make("measure", name)
+    if isinstance(name, str | Spec):
+        called = Spec.of(name).name
+        made: Measure = (plugins or Plugins.load().report()).make("measure", name)
+    else:
+        called, made = type(name).__name__, name
     if len(mesh.faces) == 0:
-        raise MeasureError(f"measure {Spec.of(name).name!r}: expected a mesh with faces, got none")
-    values = values_of(Spec.of(name).name, made, mesh)
+        raise MeasureError(f"measure {called!r}: expected a mesh with faces, got none")
+    values = values_of(called, made, mesh)
     return {value: float(v) for value, v in zip(made.names, values, strict=True)}
 
 
@@ -60,7 +64,7 @@ def design(
     reference: str | None = None,
     objective: Reduce | None = None,
     solver: str | Spec = "kkt",
-    measures: Sequence[str] = (),
+    measures: Sequence[str] | Mapping[str, str | Spec | Measure] = (),
     limits: Mapping[str, float] | None = None,
     level: Needs = "mesh",
     resolution: int = 128,
@@ -74,7 +78,7 @@ def design(
         reference=reference,
         objective=objective,
         solver=solver,
-        measures=measures,  # type: ignore[arg-type]  # likewise
+        measures=measures,
         limits=limits or {},
         level=level,
         resolution=resolution,

@@ -24,15 +24,15 @@ from lampopt import hookspecs, protocols
 from lampopt.errors import PluginError
 from lampopt.types import Array, Result, Scalar, Spec, frozen_array
 
-PROTOCOLS: Mapping[str, type] = MappingProxyType(
+PROTOCOLS: Mapping[str, tuple[type, ...]] = MappingProxyType(  # any one of them will do
     {
-        "decoder": protocols.Decoder,
-        "solver": protocols.Solver,
-        "measure": protocols.Measure,
-        "surrogate": protocols.Surrogate,
-        "model": protocols.Model,
-        "source": protocols.Source,
-        "check": protocols.Checker,
+        "decoder": (protocols.Decoder,),
+        "solver": (protocols.Solver,),
+        "measure": (protocols.Measure,),
+        "surrogate": (protocols.Surrogate,),
+        "model": (protocols.Model, protocols.Regression),
+        "source": (protocols.Source,),
+        "check": (protocols.Checker,),
     }
 )
 KINDS = tuple(PROTOCOLS)
@@ -189,7 +189,7 @@ class Plugins:
         except (Exception, SystemExit) as error:  # whatever a stranger's __init__ raises
             raise PluginError(f"{kind} {spec.name!r} of {offer}: cannot be made: {error!r}") from error
         if not isinstance(made, PROTOCOLS[kind]):
-            wanted = f"lampopt.protocols.{PROTOCOLS[kind].__name__}"
+            wanted = " asks for, or what ".join(f"lampopt.protocols.{p.__name__}" for p in PROTOCOLS[kind])
             raise PluginError(f"{kind} {spec.name!r}: {made!r} of {offer} lacks what {wanted} asks for")
         return made
 

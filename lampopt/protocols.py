@@ -78,8 +78,8 @@ class Solver(Protocol):
 class Measure(Protocol):
     """Mesh in, named values out.
 
-    A unit is what the value scales with ("L", "L^2", "L^3": the core fills the mesh's length unit in) or absolute
-    ("deg", "").
+    A unit is what the value scales with ("L", "L^2", ... "L^5": the core fills the mesh's length unit in) or absolute
+    ("deg", ""). Values that move with the mesh are named in an attribute `positions`.
     """
 
     @property
@@ -125,6 +125,26 @@ class Model(Protocol):
 
     def gradient(self, parameters: Array) -> Array:
         """Derivatives (B, p, d) at parameters (B, d)."""
+
+
+@runtime_checkable
+class Regression(Protocol):
+    """A way to learn a model from exemplars' parameters and labels."""
+
+    def fit(
+        self,
+        parameters: Array,
+        labels: Array,
+        *,
+        inputs: Sequence[str],
+        names: Sequence[str],
+        units: Sequence[str],
+        seed: int,
+    ) -> Model:
+        """A model of labels (n, p), called `names` in `units`, by parameters (n, d), called `inputs`.
+
+        A NaN is a label that is not known: its row does not count for it.
+        """
 
 
 @runtime_checkable
@@ -191,6 +211,15 @@ class Interval(Protocol):
 
     def outside(self, mesh: Trimesh) -> bool:
         """Whether `mesh` lies outside what the measure was made for."""
+
+
+@runtime_checkable
+class CrossValidated(Protocol):
+    """A fitted measure or model that knows how well it told what it had not been shown."""
+
+    @property
+    def cross_validated(self) -> Mapping[str, Mapping[str, float]]:
+        """By each of its names: `r2`, and where it is known `mean_absolute_error` [its unit]."""
 
 
 @runtime_checkable

@@ -11,17 +11,19 @@ from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 from lampopt.errors import InputError, StudyError
 from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
+from lampopt.protocols import Measure
 from lampopt.reading import brief, content
 from lampopt.solve import column
 from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
 from lampopt.units import number, said
 
 Value = float | str
+GIVEN = "given-in-python"  # stands in TOML for a measure that was given as an object
 LARGEST = 2**22  # bytes of a study: 100,000 values of a sweep take three quarters of it
 # A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
@@ -68,7 +70,8 @@ class Study:
     solver
         Name or Spec.
     measures
-        Measures to report beside the checks.
+        Measures to report beside the checks: their names, or a table of name → Spec or measure object. The values come
+        as `name.value`.
     checks
         Checks by plugins, by name.
     limits
@@ -95,7 +98,7 @@ class Study:
     hard: tuple[str, ...] = ()
     objective: Reduce | None = None
     solver: str | Spec = "kkt"
-    measures: tuple[str, ...] = ()
+    measures: Sequence[str] | Mapping[str, str | Spec | Measure] = ()
     checks: tuple[str, ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     level: Needs = "mesh"
@@ -112,8 +115,9 @@ class Study:
             raise StudyError(f"solver: expected a name or a Spec, got {said(self.solver)}")
         if not isinstance(self.objective, Reduce | None):
             raise StudyError(f"objective: expected Reduce(name, by=fraction), got {said(self.objective)}")
-        for name in ("keep", "hard", "measures", "checks", "requires"):
+        for name in ("keep", "hard", "checks", "requires"):
             _assign(self, name, _names(getattr(self, name), name))
+        _assign(self, "measures", _measures(self.measures))
         if not isinstance(self.reference, str | None):
             raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
         for name in ("targets", "limits"):
@@ -183,6 +187,10 @@ class Study:
         """One value of `name` in the bank's unit."""
         return number(value, column(bank, name).unit, name)
 
+    def to_be_measured(self) -> Mapping[str, Spec | Measure]:
+        """The measures by the name under which their values are reported."""
+        return cast("Mapping[str, Spec | Measure]", self.measures)  # whatever was given
+
     def to_toml(self) -> str:
         """The study as TOML; `from_toml` gives it back.
 
@@ -205,6 +213,8 @@ class Study:
                 continue
             if isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
+            elif item.name == "measures":
+                document[item.name] = _written_measures(value)
             elif isinstance(value, Mapping):
                 document[item.name] = {k: list(v) if isinstance(v, tuple) else _native(v) for k, v in value.items()}
             else:
@@ -245,7 +255,12 @@ class Study:
             raise StudyError("study: expected an entry `bank` with the path of a .lamp file")
         document["bank"] = (folder or Path()) / document["bank"]
         if isinstance(solver := document.get("solver"), dict):
-            document["solver"] = _spec(solver)
+            document["solver"] = _spec(solver, "solver")
+        if isinstance(measures := document.get("measures"), dict):
+            document["measures"] = {
+                name: _spec(value, f"measures: {name}") if isinstance(value, dict) else value
+                for name, value in measures.items()
+            }
         if "objective" in document:
             document["objective"] = _objective(document["objective"])
         return cls(**document)
@@ -311,15 +326,50 @@ def _native(value: object) -> Any:
     return float(value) if isinstance(value, Real) else value
 
 
-def _spec(table: Mapping[str, Scalar]) -> Spec:
+def _spec(table: Mapping[str, Scalar], what: str) -> Spec:
     options = dict(table)
     name = options.pop("name", None)
     if not isinstance(name, str):
-        raise StudyError(f"solver: expected a name, or a table with an entry `name`, got {said(dict(table))}")
+        raise StudyError(f"{what}: expected a name, or a table with an entry `name`, got {said(dict(table))}")
     try:
         return Spec(name, **options)
     except InputError as error:
-        raise StudyError(f"solver: {error}") from error
+        raise StudyError(f"{what}: {error}") from error
+
+
+def _measures(given: object) -> Mapping[str, Spec | Measure]:
+    """What is to be measured, by the name under which its values are reported."""
+    if not isinstance(given, Mapping):
+        return MappingProxyType({name: Spec(name) for name in _names(given, "measures")})
+    found: dict[str, Spec | Measure] = {}
+    for name, choice in _table(given, "measures").items():
+        if "." in name or not name:
+            raise StudyError(f"measures: expected a name without dots, for values are called name.value, got {name!r}")
+        if isinstance(choice, str):
+            choice = Spec(choice)
+        elif isinstance(choice, type) or not isinstance(choice, Spec | Measure):
+            raise StudyError(
+                f"measures: {name}: expected the name of a measure, a Spec or a measure, got {said(choice)}"
+            )
+        found[name] = choice
+    return MappingProxyType(found)
+
+
+def _written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict[str, Any]:
+    """For TOML: names alone where they say it all; an object by its class, which cannot be made again from it."""
+    if all(isinstance(choice, Spec) and choice == Spec(name) for name, choice in measures.items()):
+        return list(measures)
+    found: dict[str, Any] = {}
+    for name, choice in measures.items():
+        if isinstance(choice, Spec) and "name" in choice.options:
+            raise StudyError(f"measures: {name}: {choice} has an option `name`, which TOML could not tell from its own")
+        options = choice.options if isinstance(choice, Spec) else {"of": _class(choice)}
+        found[name] = {"name": choice.name if isinstance(choice, Spec) else GIVEN, **options}
+    return found
+
+
+def _class(value: object) -> str:
+    return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
 def _objective(table: object) -> Reduce:

@@ -17,12 +17,13 @@ from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
 from lampopt.decode import decode
-from lampopt.errors import EmptyMesh, InputError, PluginError
+from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
+from lampopt.fitted import described, digest_of_state
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
-from lampopt.protocols import Checker, Decoder, Solver
+from lampopt.protocols import Checker, Decoder, Measure, Solver, State
 from lampopt.solve import Posed, pose
-from lampopt.study import Study, Value
+from lampopt.study import GIVEN, Study, Value
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
 from lampopt.written import MeshFile
 
@@ -77,6 +78,7 @@ class Task:
     solver: Solver
     limits: Limits
     checkers: Mapping[str, Checker]
+    measures: Mapping[str, Measure]
     plugins: Plugins
 
     @classmethod
@@ -96,9 +98,9 @@ class Task:
         for name, made in checkers.items():
             if made.needs not in LEVELS:
                 raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
-        for name in study.measures:
-            plugins.get("measure", name)
-        return cls(study, bank, decoder_of(bank, plugins), solver, Limits.of(bank, study.limits), checkers, plugins)
+        measures = {name: _measure(name, choice, plugins) for name, choice in study.to_be_measured().items()}
+        limits = Limits.of(bank, study.limits)
+        return cls(study, bank, decoder_of(bank, plugins), solver, limits, checkers, measures, plugins)
 
     def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
         """Every wanted value by name [the bank's units], with `change` among the targets."""
@@ -129,9 +131,9 @@ class Task:
                     checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins)
                 if made.mesh is None:
                     break  # nothing is left to be measured or judged
-                for name in self.study.measures:
+                for name, measure in self.measures.items():
                     with _unaltered(made.mesh, f"measure {name!r}"):
-                        checks += measure_checks(self.bank, made.mesh, [name], self.plugins)
+                        checks += measure_checks(self.bank, made.mesh, {name: measure})
             for name, checker in self.checkers.items():
                 with _unaltered(made.__dict__.get("mesh"), f"check {name!r}"):
                     checks += stranger_checks(self.bank, made, {name: checker}, level)
@@ -163,7 +165,10 @@ class Task:
                 "reference": study.reference,
                 "ranges": study.bounds(self.bank),
                 "hard": study.hard,
-                "measures": {name: offer("measure", name) for name in study.measures},
+                "measures": {
+                    name: _told(choice, self.measures[name], self.plugins)
+                    for name, choice in study.to_be_measured().items()
+                },
                 "drift": {address: offer("measure", address.partition(".")[0]) for address in drift},
                 "checks": {name: offer("check", name) for name in study.checks},
                 "format": study.format,
@@ -224,6 +229,27 @@ def _unaltered(mesh: Trimesh | None, who: str) -> Iterator[None]:
     yield
     if mesh is not None and _shape(mesh) != before:
         raise PluginError(f"{who} altered the mesh that it was given: a plugin has to work on a copy of its own")
+
+
+def _measure(name: str, choice: Spec | Measure, plugins: Plugins) -> Measure:
+    if not isinstance(choice, Spec):
+        return choice
+    if choice.name == GIVEN:
+        raise StudyError(
+            f"measures: {name}: was given as a Python object, {choice.options.get('of')}, which a file cannot hold: "
+            "give it again, or register it as a plugin"
+        )
+    made: Measure = plugins.make("measure", choice)
+    return made
+
+
+def _told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> list[str]:
+    """What tells a measure from others: who offers it with which options, and what it has learned."""
+    if isinstance(choice, Spec):
+        who = [str(plugins.get("measure", choice.name)), *([repr(choice)] if choice.options else [])]
+    else:
+        who = [described(measure)]
+    return [*who, *([digest_of_state(measure.state())] if isinstance(measure, State) else [])]
 
 
 def _shape(mesh: Trimesh) -> tuple[str, str]:

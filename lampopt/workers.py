@@ -32,7 +32,7 @@ from lampopt.reading import brief, why
 from lampopt.record import RunFolder
 from lampopt.study import Study
 from lampopt.task import Task
-from lampopt.types import Check, Mix, Result
+from lampopt.types import Check, Mix, Result, Spec
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -271,8 +271,16 @@ def _packed(task: Task, file: Path | None) -> bytes:
     owners, manager = task.plugins.owners, task.plugins.manager
     extra = [(name, manager.get_plugin(name)) for name, (owner, _) in owners.items() if owner == "not installed"]
     study = replace(task.study, bank=str(file.resolve())).to_toml()
+    given = {name: choice for name, choice in task.study.to_be_measured().items() if not isinstance(choice, Spec)}
     try:
-        return pickle.dumps((study, task.identity, list(owners), extra))
+        objects = pickle.dumps(given)
+    except Exception as error:  # whatever a stranger's __reduce__ raises
+        raise StudyError(
+            f"executor: the measures {', '.join(given)} cannot be sent to other processes ({why(error)}): define them "
+            "in a module, or use a ThreadPoolExecutor"
+        ) from error
+    try:
+        return pickle.dumps((study, objects, task.identity, list(owners), extra))
     except Exception as error:  # whatever a stranger's __reduce__ raises
         raise PluginError(
             f"executor: the plugins {', '.join(name for name, _ in extra)} are not installed and cannot be sent to "
@@ -282,9 +290,11 @@ def _packed(task: Task, file: Path | None) -> bytes:
 
 @lru_cache(maxsize=1)  # opening the bank reads all of it: once a worker, not once a design
 def _unpacked(setup: bytes) -> Task:
-    study, identity, names, extra = pickle.loads(setup)  # by the process that started this one
+    text, objects, identity, names, extra = pickle.loads(setup)  # by the process that started this one
     installed = {point.name for point in entry_points(group="lampopt")}
-    task = Task.of(Study.from_toml(study), Plugins.load(extra, block=installed - set(names)))
+    study = Study.from_toml(text)
+    study = replace(study, measures={**study.to_be_measured(), **pickle.loads(objects)})
+    task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
     if task.identity != identity:
         raise PluginError(
             "a worker would make other designs: its bank, plugins or versions differ from those of the process that "

@@ -187,6 +187,130 @@ class NudgesParameters(Drag):
         return gradient
 
 
+# regressions, and what they learn
+
+
+@dataclass(frozen=True, eq=False)
+class Quadric:
+    matrix: np.ndarray
+    names: tuple
+    units: tuple
+    inputs: tuple
+
+    def __call__(self, parameters):
+        given = np.asarray(parameters)
+        return np.hstack([np.ones((len(given), 1)), given, given**2]) @ self.matrix
+
+    def gradient(self, parameters):
+        given, (_, first, second) = np.asarray(parameters), np.split(self.matrix, [1, 1 + len(self.inputs)])
+        return first.T + 2 * given[:, None] * second.T
+
+    def state(self):
+        return {"matrix": self.matrix}
+
+    @classmethod
+    def from_state(cls, state):
+        return cls(state["matrix"], ("drag", "lift"), ("N", ""), ("height", "angle", "kind"))
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Regression: least squares on the parameters and their squares."""
+
+    ridge: float = 1e-9
+
+    def fit(self, parameters, labels, *, inputs, names, units, seed):
+        terms = np.hstack([np.ones((len(parameters), 1)), parameters, parameters**2])
+        columns = []
+        for column in np.asarray(labels).T:
+            known = ~np.isnan(column)
+            columns.append(np.linalg.lstsq(terms[known], column[known], self.ridge)[0])
+        return Quadric(np.stack(columns, 1), tuple(names), tuple(units), tuple(inputs))
+
+
+def breaks_regression(check):
+    """As `breaks`, for a regression."""
+
+    def register(cls):
+        BROKEN.append(("regression", dataclass(frozen=True, repr=False)(cls)(), check))
+        return cls
+
+    return register
+
+
+class Regresses(Squares):
+    def fit(self, parameters, labels, **named):
+        return self.spoil(super().fit(parameters, labels, **named))
+
+
+@breaks_regression("check_fit_gives_a_model")
+class SwapsUnits(Regresses):
+    def spoil(self, fitted):
+        return replace(fitted, units=fitted.units[::-1])
+
+
+@breaks_regression("check_model_fit_is_deterministic")
+class UnseededRegression(Regresses):
+    def spoil(self, fitted):
+        return replace(fitted, matrix=fitted.matrix + 1e-12 * noise(*fitted.matrix.shape))
+
+
+@breaks_regression("check_plane_is_learned")
+class AlwaysOneLabel(Regresses):
+    def spoil(self, fitted):
+        matrix = 1e-9 * fitted.matrix
+        matrix[0] = 1.0
+        return replace(fitted, matrix=matrix)
+
+
+@breaks_regression("check_unlabelled_rows_do_not_count")
+class GapsAreZero(Squares):
+    def fit(self, parameters, labels, **named):
+        return super().fit(parameters, np.nan_to_num(labels), **named)
+
+
+class RowsMeet(Quadric):
+    def __call__(self, parameters):
+        return super().__call__(parameters) + 1e-6 * len(parameters)
+
+
+@breaks_regression("check_learned_rows_are_independent")
+class LearnsRowsTogether(Regresses):
+    def spoil(self, fitted):
+        return RowsMeet(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
+class TooSteep(Quadric):
+    def gradient(self, parameters):
+        return 1.1 * super().gradient(parameters)
+
+
+@breaks_regression("check_learned_gradient_follows_the_values")
+class LearnsTooSteep(Regresses):
+    def spoil(self, fitted):
+        return TooSteep(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
+class HalfKept(Quadric):
+    def state(self):
+        return {"matrix": self.matrix.astype(np.float32)}
+
+
+@breaks_regression("check_learned_model_is_kept")
+class KeepsHalf(Regresses):
+    def spoil(self, fitted):
+        return HalfKept(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
+@breaks_regression("check_rows_given_are_left")
+class FillsGaps(Squares):
+    def fit(self, parameters, labels, **named):
+        fitted = super().fit(parameters, labels, **named)
+        labels[:] = np.nan_to_num(labels)
+        labels[0] += 1e-9
+        return fitted
+
+
 # sources, and a checker
 
 

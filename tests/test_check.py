@@ -552,9 +552,13 @@ def test_no_spread_and_no_value_leaves_no_room():
     assert not check.passed
 
 
+def made(*names):
+    return {name: PLUGINS.make("measure", name) for name in names}
+
+
 def test_wanted_measures_inform_and_judge_nothing():
     bank = plain_bank(frame=Frame(1.0, np.zeros(3), "mm"))
-    found = measure_checks(bank, shapes.box((1, 2, 3)), ["extents", "volume", "hole"], PLUGINS)
+    found = measure_checks(bank, shapes.box((1, 2, 3)), made("extents", "volume", "hole"))
     assert [(c.name, c.value, c.unit) for c in found[:4]] == [
         ("extents.length", 1, "mm"), ("extents.width", 2, "mm"), ("extents.height", 3, "mm"),
         ("volume.volume", pytest.approx(6), "mm^3"),
@@ -562,7 +566,7 @@ def test_wanted_measures_inform_and_judge_nothing():
     assert all(c.passed and c.sense == "info" for c in found)
     assert np.isnan(found[4].value)
     assert found[4].note == "no hole is there"
-    assert all(np.isnan(c.value) for c in measure_checks(bank, trimesh.Trimesh(), ["extents"], PLUGINS))
+    assert all(np.isnan(c.value) for c in measure_checks(bank, trimesh.Trimesh(), made("extents")))
 
 
 class Own:

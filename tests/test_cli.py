@@ -135,7 +135,7 @@ def test_plugins(call, ask):
     assert "WARNING: plugin 'odd'" in err
     code, err = call("plugins")
     assert code == 0
-    assert "measure area, extents" in err
+    assert "measure area, bwb" in err
     assert "plugin 'odd' (not installed -): has no hooks" in err
 
 
@@ -270,7 +270,7 @@ def test_measure(call, ask, folder):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["extnts", "car_0.stl"], "installed are: area, extents"),
+        (["extnts", "car_0.stl"], "installed are: area, bwb"),
         (["extents", "none.stl"], "mesh none.stl: cannot be read"),
         (["extents", "cars.csv"], "mesh cars.csv: cannot be read"),
         (["plate", "car_0.stl"], "hole"),

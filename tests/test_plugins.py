@@ -378,8 +378,8 @@ def test_options_are_the_fields(chosen):
 
 
 def test_a_name_that_nobody_gives_is_answered_with_those_there_are(chosen):
-    with pytest.raises(PluginError, match="surrogate 'x' is not installed; installed are: none"):
-        chosen.get("surrogate", "x")
+    with pytest.raises(PluginError, match="check 'x' is not installed; installed are: none"):
+        chosen.get("check", "x")
     with pytest.raises(PluginError, match=r"measure 'X' is not installed; installed are: area, .*options.*, volume"):
         chosen.get("measure", "X")
 

@@ -17,6 +17,7 @@ from lampopt.cli.answer import CRASHED, INTERRUPTED, VERBOSE, WRONG, Group, logg
 from lampopt.cli.bank import bank
 from lampopt.cli.designs import make, run, sweep
 from lampopt.cli.intake import intake, wrap
+from lampopt.cli.learn import model, surrogate
 from lampopt.cli.measure import measure
 from lampopt.cli.plugins import check_plugin, plugins, sources
 from lampopt.cli.report import report
@@ -34,7 +35,21 @@ def cli() -> None:
     """Parameter-controlled shapes from a few dozen exemplars: build a bank, ask it for designs, see the evidence."""
 
 
-for command in (plugins, sources, bank, intake, wrap, measure, make, run, sweep, report, check_plugin):
+for command in (
+    plugins,
+    sources,
+    bank,
+    intake,
+    wrap,
+    measure,
+    surrogate,
+    model,
+    make,
+    run,
+    sweep,
+    report,
+    check_plugin,
+):
     cli.add_command(command)
 
 for command in (calibrate, volume):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
+from lampopt.check import LEVEL
 from lampopt.cli.answer import Answer, Command
 from lampopt.cli.options import spec
 from lampopt.cli.show import number, table
 from lampopt.loop import measure as measured
 from lampopt.meshfile import load_mesh
 from lampopt.plugins import Plugins
+from lampopt.protocols import Interval
 from lampopt.units import filled
 
 
@@ -31,12 +34,23 @@ def measure(name: str, mesh: Path, settings: tuple[str, ...], unit: str) -> Answ
     """
     plugins = Plugins.load().report()
     chosen = spec(plugins, "measure", name, "--set", settings)
-    values = measured(chosen, load_mesh(mesh), plugins=plugins)
-    units = [filled(u, unit) for u in plugins.make("measure", chosen).units]
-    document = {
+    made, found = plugins.make("measure", chosen), load_mesh(mesh)
+    values = measured(chosen, found, plugins=plugins)
+    units = [filled(u, unit) for u in made.units]
+    document: dict[str, Any] = {
         "measure": name,
         "mesh": str(mesh),
         "values": {n: {"value": v, "unit": u} for (n, v), u in zip(values.items(), units, strict=True)},
     }
-    rows = [(n, number(v), u) for (n, v), u in zip(values.items(), units, strict=True)]
-    return Answer(document, [table(f"{name} of {mesh}", ("name", "value", "unit"), rows, right=("value",))])
+    heads = ["name", "value", "unit"]
+    rows = [[n, number(v), u] for (n, v), u in zip(values.items(), units, strict=True)]
+    said = []
+    if isinstance(made, Interval):
+        document["outside"] = bool(made.outside(found))
+        heads.append(f"{LEVEL:.0%} interval")
+        for row, value, (low, high) in zip(rows, values, made.interval(found, LEVEL), strict=True):
+            document["values"][value]["interval"] = [float(low), float(high)]
+            row.append(f"{number(float(low))} to {number(float(high))}")
+        if document["outside"]:
+            said = [f"{mesh} is outside what {name} was made for: neither value nor interval is to be trusted"]
+    return Answer(document, [table(f"{name} of {mesh}", heads, rows, right=("value",)), *said])

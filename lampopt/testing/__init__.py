@@ -16,6 +16,7 @@ from typing import Any
 
 from lampopt.errors import InputError, LampoptError, PluginError
 from lampopt.plugins import Offer, Plugins
+from lampopt.protocols import Regression
 from lampopt.testing import decoders, measures, others, shapes, solvers
 from lampopt.testing.engine import (
     CheckFunction,
@@ -37,6 +38,7 @@ __all__ = [
     "check_measure",
     "check_model",
     "check_plugin",
+    "check_regression",
     "check_solver",
     "check_source",
     "check_surrogate",
@@ -44,6 +46,7 @@ __all__ = [
     "decoder_checks",
     "measure_checks",
     "model_checks",
+    "regression_checks",
     "report",
     "shapes",
     "solver_checks",
@@ -58,6 +61,7 @@ CHECKS: Mapping[str, tuple[CheckFunction, ...]] = MappingProxyType(
         "measure": measures.CHECKS,
         "surrogate": measures.SURROGATE_CHECKS,
         "model": others.MODEL_CHECKS,
+        "regression": others.REGRESSION_CHECKS,
         "source": others.SOURCE_CHECKS,
         "check": others.CHECKER_CHECKS,
     }
@@ -73,7 +77,7 @@ def report(kind: str, plugin: object, expected_failures: Excuses = NONE, *, name
     Parameters
     ----------
     kind
-        decoder, solver, measure, surrogate, model, source or check.
+        decoder, solver, measure, surrogate, model, regression, source or check.
     plugin
         An instance, with cheap options.
     expected_failures
@@ -122,6 +126,11 @@ def check_surrogate(plugin: object, expected_failures: Excuses = NONE) -> None:
 def check_model(plugin: object, expected_failures: Excuses = NONE) -> None:
     """As `check_decoder`, for a model; its `example_parameters()` (B, d) say where it is valid."""
     _check("model", plugin, expected_failures)
+
+
+def check_regression(plugin: object, expected_failures: Excuses = NONE) -> None:
+    """As `check_decoder`, for a regression: what a model is learned by, offered by the same hook as a ready model."""
+    _check("regression", plugin, expected_failures)
 
 
 def check_source(plugin: object, expected_failures: Excuses = NONE) -> None:
@@ -185,6 +194,11 @@ def model_checks(*plugins: object, expected_failures: Excuses = NONE) -> Decorat
     return _decorator("model", plugins, expected_failures)
 
 
+def regression_checks(*plugins: object, expected_failures: Excuses = NONE) -> Decorator:
+    """As `decoder_checks`, for regressions."""
+    return _decorator("regression", plugins, expected_failures)
+
+
 def source_checks(*plugins: object, expected_failures: Excuses = NONE) -> Decorator:
     """As `decoder_checks`, for sources."""
     return _decorator("source", plugins, expected_failures)
@@ -240,7 +254,8 @@ def _check_offer(offer: Offer) -> tuple[Record, ...]:
         cause = str(error) if isinstance(error, LampoptError) else repr(error)
         advice = "expected `example()` or default options to build it"
         return (Record("builds", False, f"{cause}; {advice}", about),)
-    return (Record("builds", True, "", about), *report(offer.kind, plugin, name=about))
+    kind = "regression" if offer.kind == "model" and isinstance(plugin, Regression) else offer.kind
+    return (Record("builds", True, "", about), *report(kind, plugin, name=about))
 
 
 def _canonical(name: str) -> str:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 CLOSE = 1e-3  # relative; of measures that sample or slice
 ORDER = 1e-6  # relative; what the order of sums may change
 SPREAD = 0.05  # of a surrogate's answers: what resampled points may change
-LENGTHS = {"L": 1, "L^2": 2, "L^3": 3, "": 0, "deg": 0, "rad": 0}
+LENGTHS = {"L": 1, "L^2": 2, "L^3": 3, "L^4": 4, "L^5": 5, "": 0, "deg": 0, "rad": 0}
 
 
 def example(measure: Any) -> Trimesh:
@@ -74,7 +74,7 @@ def check_protocol(measure: Any) -> None:
 def check_units_can_be_read(measure: Any) -> None:
     """The core fills the mesh's unit in for L and converts; a unit it cannot read is a value nobody can compare."""
     for unit in measure.units:
-        expect(_readable(unit), f"unit {unit!r}: expected L, L^2, L^3, deg, '' or a unit that pint reads")
+        expect(_readable(unit), f"unit {unit!r}: expected L, L^2, ... L^5, deg, '' or a unit that pint reads")
 
 
 @cache
@@ -99,12 +99,23 @@ def check_something_is_measured(measure: Any) -> None:
     expect(np.isfinite(values).all(), f"expected finite values, got {dict(zip(measure.names, values, strict=True))}")
 
 
+def _positions(measure: Any) -> tuple[str, ...]:
+    """For each value the axis along which it is a place in the mesh's own coordinates, "" for none."""
+    said = getattr(measure, "positions", ("",) * len(measure.names))
+    right = isinstance(said, tuple) and len(said) == len(measure.names) and set(said) <= {"", "x", "y", "z"}
+    expect(right, f"positions: expected {len(measure.names)} of 'x', 'y', 'z' and '', got {said!r}")
+    lengths = [unit == "L" for unit, axis in zip(measure.units, said, strict=True) if axis]
+    expect(all(lengths), f"positions: expected unit L for values that are places, got {measure.units}")
+    return tuple(said)
+
+
 def check_place_does_not_matter(measure: Any) -> None:
-    """Designs come back in the user's frame, exemplars from anywhere."""
+    """Designs come back in the user's frame, exemplars from anywhere; only a place moves along, and says so."""
     mesh = example(measure)
-    moved = mesh.copy()
-    moved.apply_translation(np.max(mesh.extents) * np.array([0.3, -0.7, 0.2]))
-    args = _values(measure, moved), _values(measure, mesh), measure.names, "on a moved mesh"
+    moved, move = mesh.copy(), np.max(mesh.extents) * np.array([0.3, -0.7, 0.2])
+    moved.apply_translation(move)
+    along = np.array([move["xyz".index(axis)] if axis else 0.0 for axis in _positions(measure)])
+    args = _values(measure, moved), _values(measure, mesh) + along, measure.names, "on a moved mesh"
     _agree(*args, CLOSE, _size(measure, mesh))
 
 

@@ -1,4 +1,4 @@
-"""What a model, a source and a checker have to do."""
+"""What a model, a regression, a source and a checker have to do."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from lampopt.protocols import Checker, Model, Source
-from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, require
+from lampopt.protocols import Checker, Model, Regression, Source, State
+from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, read_only, require
 from lampopt.testing.measures import check_units_can_be_read
 from lampopt.types import Array, Exemplars, Needs
 
@@ -63,7 +63,10 @@ def check_model_is_deterministic(model: Any) -> None:
 
 def check_model_gradient_agrees_with_differences(model: Any) -> None:
     """A solver follows this gradient to the optimum, or away from it."""
-    given = parameters(model)
+    _slopes_agree(model, parameters(model))
+
+
+def _slopes_agree(model: Any, given: Array) -> None:
     slopes = []
     for column in range(given.shape[1]):
         step = np.zeros_like(given)
@@ -94,6 +97,119 @@ MODEL_CHECKS: tuple[CheckFunction, ...] = (
     check_model_is_deterministic,
     check_model_gradient_agrees_with_differences,
     check_model_parameters_are_left,
+)
+
+
+INPUTS, NAMES, UNITS = ("height", "angle", "kind"), ("drag", "lift"), ("N", "")
+LEARNT = 0.5  # R² on rows that were not seen
+
+
+def _rows(count: int, seed: int) -> tuple[Array, Array]:
+    """Three parameters (n, 3) of unlike scale, the last without spread; two labels (n, 2): plane and curved."""
+    x, y = np.random.default_rng(seed).uniform(-1, 1, (2, count))
+    given = np.column_stack([1.4 + 0.2 * x, 20 + 5 * y, np.full(count, 3.0)])
+    return given, np.column_stack([300 + 40 * x + 10 * y, 0.1 + 0.05 * x**2 + 0.1 * y])
+
+
+_LATEST: list[tuple[Any, Model]] = []  # fitting is dear and the checks of one regression run in a row
+
+
+def _learned(regression: Any) -> Model:
+    if not _LATEST or _LATEST[0][0] is not regression:
+        _LATEST[:] = [(regression, _learn(regression))]
+    return _LATEST[0][1]
+
+
+def _learn(regression: Any, *given: Array) -> Model:
+    parameters, labels = given or _rows(60, 1)
+    fitted: Model = regression.fit(parameters, labels, inputs=INPUTS, names=NAMES, units=UNITS, seed=2)
+    return fitted
+
+
+def check_fit_gives_a_model(regression: Any) -> None:
+    """A study knows models only, by the labels, units and inputs that were asked for."""
+    require(regression, Regression)
+    fitted = _learned(regression)
+    require(fitted, Model)
+    said = tuple(fitted.names), tuple(fitted.units), tuple(fitted.inputs)
+    expect(said == (NAMES, UNITS, INPUTS), f"fit: expected {(NAMES, UNITS, INPUTS)}, got {said}")
+    check_model_shapes(fitted)
+
+
+def check_model_fit_is_deterministic(regression: Any) -> None:
+    """Hidden randomness makes a result that nobody can repeat."""
+    given, _ = _rows(10, 9)
+    same = np.array_equal(_learned(regression)(given), _learn(regression)(given))
+    expect(same, "two fits with one seed answer differently")
+
+
+def check_plane_is_learned(regression: Any) -> None:
+    """Two parameters that act one by one are the least that there is to learn, where a third never changed."""
+    given, truth = _rows(200, 9)
+    missed = ((_learned(regression)(given) - truth) ** 2).sum(axis=0) / ((truth - truth.mean(axis=0)) ** 2).sum(axis=0)
+    for name, score in zip(NAMES, 1 - missed, strict=True):
+        expect(score > LEARNT, f"R² {score:.2f} of {name!r} on rows that were not seen, expected > {LEARNT}")
+
+
+def check_unlabelled_rows_do_not_count(regression: Any) -> None:
+    """Exemplars come from many hands; one that lacks a label still has others, and no say in the one it lacks."""
+    given, labels = _rows(60, 1)
+    gaps = labels.copy()
+    gaps[40:, 1] = np.nan
+    fitted, without = _learn(regression, given, gaps), _learn(regression, given[:40], labels[:40])
+    answers = fitted(given)
+    expect(np.isfinite(answers).all(), "fitted on labels with gaps: expected finite labels")
+    apart = np.abs(answers - without(given))[:, 1].max() / np.ptp(labels[:, 1])
+    expect(apart < 0.2, f"rows without the label move it by {apart:.1%} of its spread")
+
+
+def check_learned_rows_are_independent(regression: Any) -> None:
+    """A design's labels must not depend on which others are asked about with it."""
+    fitted, (given, _) = _learned(regression), _rows(5, 9)
+    alone = np.concatenate([fitted(row[None]) for row in given])
+    expect(np.allclose(alone, fitted(given), rtol=1e-6, atol=1e-9), "rows one by one and together differ")
+
+
+def check_learned_gradient_follows_the_values(regression: Any) -> None:
+    """A solver follows this gradient to the optimum, or away from it; only a model that goes in steps has none."""
+    fitted, (given, _) = _learned(regression), _rows(20, 9)
+    if not np.any(fitted.gradient(given)):
+        raise NotApplicable("what it learns goes in steps: its gradient is zero almost everywhere")
+    _slopes_agree(fitted, given)
+
+
+def check_learned_model_is_kept(regression: Any) -> None:
+    """What was learned is stored beside the bank; read back it has to give the same values."""
+    fitted, (given, _) = _learned(regression), _rows(10, 9)
+    if not isinstance(fitted, State):
+        raise NotApplicable("what it learns has no state")
+    again = type(fitted).from_state({name: read_only(array) for name, array in fitted.state().items()})
+    said = tuple(again.names), tuple(again.units), tuple(again.inputs)
+    expect(said == (NAMES, UNITS, INPUTS), f"made from its state it says {said}")
+    expect(np.array_equal(again(given), fitted(given)), "made from its state it answers differently")
+
+
+def check_rows_given_are_left(regression: Any) -> None:
+    """The same exemplars go to other regressions, and into the bank."""
+    given, labels = _rows(60, 1)
+    kept = given.copy(), labels.copy()
+    fitted = _learn(regression, given, labels)
+    fitted(given)
+    fitted.gradient(given)
+    left = np.array_equal(given, kept[0]) and np.array_equal(labels, kept[1])
+    expect(left, "learning or asking changed the parameters or labels that were given")
+
+
+REGRESSION_CHECKS: tuple[CheckFunction, ...] = (
+    *COMMON,
+    check_fit_gives_a_model,
+    check_model_fit_is_deterministic,
+    check_plane_is_learned,
+    check_unlabelled_rows_do_not_count,
+    check_learned_rows_are_independent,
+    check_learned_gradient_follows_the_values,
+    check_learned_model_is_kept,
+    check_rows_given_are_left,
 )
 
 

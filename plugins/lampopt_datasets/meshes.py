@@ -11,6 +11,8 @@ from lampopt.errors import InputError
 from lampopt.meshfile import load_mesh
 from lampopt.reading import brief
 
+from .vtk import load_vtk
+
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
@@ -43,4 +45,5 @@ class MeshFiles(Sequence["Trimesh"]):
         file = self.files[index]
         if not inside(self.folder, file):  # again: a link may have been put there since the table was read
             raise InputError(f"mesh {brief(file)}: leads out of the folder {self.folder}")
-        return load_mesh(self.folder / file)
+        path = self.folder / file
+        return load_vtk(path) if path.suffix.lower() == ".vtk" else load_mesh(path)

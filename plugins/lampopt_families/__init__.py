@@ -6,4 +6,10 @@ from lampopt import hookimpl
 @hookimpl
 def lampopt_sources() -> dict[str, str]:
     """Sources by name."""
-    return {"morph": "lampopt_families.morph:MorphSource", "plate": "lampopt_families.plate:PlateSource"}
+    return {
+        "ahmed": "lampopt_families.ahmed:AhmedSource",
+        "bwb": "lampopt_families.bwb:BwbSource",
+        "car": "lampopt_families.car:CarSource",
+        "morph": "lampopt_families.morph:MorphSource",
+        "plate": "lampopt_families.plate:PlateSource",
+    }

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt.errors import InputError
 from lampopt.types import Array, Exemplars, Parameter
+
+from .parametric import Family
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
 NAMES = ("length", "width", "thickness", "hole_radius", "hole_x", "hole_y")
 LOW = (2.0, 1.4, 0.2, 0.15, -0.10, -0.08)  # [m]
 HIGH = (3.0, 2.0, 0.3, 0.25, 0.10, 0.08)  # [m]
-DESIGNS = ("ends", "lhs", "sobol", "random")
-MOST = {"count": 100_000, "seed": 2**63 - 1, "segments": 100_000}  # beyond lies a slip, or a machine out of memory
+FINEST = 100_000  # segments; beyond lies a slip, or a machine out of memory
 
 
 @dataclass(frozen=True)
@@ -51,84 +51,28 @@ class PlateSource:
     segments: int = 128
 
     def __post_init__(self) -> None:
-        for name, most in MOST.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value > most:
-                raise InputError(f"plate: {name}: expected a whole number up to {most:,}, got {value!r:.100}")
-        if self.design not in DESIGNS:
-            raise InputError(f"plate: design: expected one of {', '.join(DESIGNS)}, got {self.design!r}")
-        if self.design == "ends" and self.count != 2 * len(NAMES) + 1:
+        family(segments=self.segments).checked_options(self.count, self.design, self.seed)
+        if isinstance(self.segments, bool) or not isinstance(self.segments, int) or not 8 <= self.segments <= FINEST:
             raise InputError(
-                f"plate: design 'ends' has {2 * len(NAMES) + 1} exemplars, got count={self.count}; "
-                "for another count choose lhs, sobol or random"
+                f"plate: segments: expected a whole number from 8 to {FINEST:,}, got {self.segments!r:.100}"
             )
-        if self.count < 1:
-            raise InputError(f"plate: count: expected at least 1, got {self.count}")
-        if self.seed < 0:
-            raise InputError(f"plate: seed: expected 0 or more, got {self.seed}")
-        if self.segments < 8:
-            raise InputError(f"plate: segments: expected at least 8, got {self.segments}")
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes are made on access. Names say the end, or count the draws."""
-        if self.design == "ends":
-            names, parameters = _ends()
-        else:
-            width = len(str(self.count - 1))
-            names = tuple(f"plate_{i:0{width}d}" for i in range(self.count))
-            parameters = _draws(self.design, self.count, self.seed)
-        return Exemplars(
-            parameters=parameters,
-            space=tuple(Parameter(name, "m") for name in NAMES),
-            meshes=Plates(parameters, self.segments),
-            names=names,
-            unit="m",
-            measured={name: f"plate.{name}" for name in NAMES},
-            mesh_at=partial(plate_mesh, segments=self.segments),
-        )
+        return family(segments=self.segments).exemplars(self.count, self.design, self.seed)
 
 
-@dataclass(frozen=True, eq=False)
-class Plates(Sequence["Trimesh"]):
-    """The meshes at `parameters` (N, 6), made on access."""
-
-    parameters: Array
-    segments: int
-
-    def __len__(self) -> int:
-        return len(self.parameters)
-
-    @overload
-    def __getitem__(self, index: int) -> Trimesh: ...
-    @overload
-    def __getitem__(self, index: slice) -> Plates: ...
-    def __getitem__(self, index: int | slice) -> Any:
-        if isinstance(index, slice):
-            return Plates(self.parameters[index], self.segments)
-        return plate_mesh(self.parameters[index], segments=self.segments)
-
-
-def _ends() -> tuple[tuple[str, ...], Array]:
-    middle = (np.array(LOW) + np.array(HIGH)) / 2
-    rows, names = [middle], ["middle"]
-    for k, name in enumerate(NAMES):
-        for end, values in (("low", LOW), ("high", HIGH)):
-            rows.append(np.where(np.arange(len(NAMES)) == k, values[k], middle))
-            names.append(f"{name}_{end}")
-    return tuple(names), np.array(rows)
-
-
-def _draws(design: str, count: int, seed: int) -> Array:
-    from scipy.stats import qmc
-
-    d = len(NAMES)
-    if design == "lhs":
-        unit = qmc.LatinHypercube(d, rng=seed).random(count)
-    elif design == "sobol":  # whole powers of two keep the sequence balanced; its first `count` points are taken
-        unit = qmc.Sobol(d, rng=seed).random_base2((count - 1).bit_length())[:count]
-    else:
-        unit = np.random.default_rng(seed).random((count, d))
-    return np.asarray(qmc.scale(unit, LOW, HIGH), float)
+def family(*, segments: int = 128) -> Family:
+    """The plate as a `Family`: its parameters, their ranges, its mesh."""
+    return Family(
+        "plate",
+        tuple(Parameter(name, "m") for name in NAMES),
+        np.array(LOW),
+        np.array(HIGH),
+        "m",
+        {name: f"plate.{name}" for name in NAMES},
+        partial(plate_mesh, segments=segments),
+    )
 
 
 def plate_mesh(parameters: Array, *, segments: int = 128) -> Trimesh:

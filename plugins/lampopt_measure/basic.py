@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 
+TIE = 1e-9  # share of a size within which two vertices are equally far out
+
+
 def with_faces(mesh: Trimesh) -> Trimesh:
     """`mesh` itself, if it has faces and finite vertices.
 
@@ -74,6 +77,25 @@ def watertight(mesh: Trimesh) -> Trimesh:
     return closed
 
 
+def solid(mesh: Trimesh, what: str) -> Trimesh:
+    """`mesh` as `watertight` gives it, when its faces point outward.
+
+    Raises
+    ------
+    EmptyMesh, MeasureError
+        If it has no faces, is open, or encloses no positive volume; `what` begins the message.
+    """
+    closed = watertight(mesh)
+    if not closed.is_winding_consistent:
+        raise MeasureError(f"{what}: expected neighbouring faces to be wound alike, got some that are not")
+    if closed.volume <= 0:
+        raise MeasureError(
+            f"{what}: expected faces that point outward, got an enclosed volume of {closed.volume:.6g}; "
+            "turn the faces round (mesh.invert())"
+        )
+    return closed
+
+
 @dataclass(frozen=True)
 class Extents:
     """Sizes of the axis-aligned bounding box of the faces: length along x, width along y, height along z."""
@@ -85,6 +107,20 @@ class Extents:
         """Length, width, height (3,). Raises EmptyMesh, and MeasureError where a vertex is not finite."""
         return np.array(with_faces(mesh).extents, float)
 
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (3, V, 3): those that lie farthest out share it. Raises as a call does."""
+        with_faces(mesh)
+        vertices = np.asarray(mesh.vertices, float)
+        used = np.zeros(len(vertices), bool)
+        used[np.asarray(mesh.faces)] = True
+        gradient = np.zeros((3, len(vertices), 3))
+        for axis, size in enumerate(np.ptp(vertices[used], axis=0)):
+            along = vertices[:, axis]
+            for sign, end in ((1, along[used].max()), (-1, along[used].min())):
+                ends = used & (np.abs(along - end) <= TIE * size)
+                gradient[axis, ends, axis] += sign / ends.sum()
+        return gradient
+
 
 @dataclass(frozen=True)
 class Volume:
@@ -95,15 +131,14 @@ class Volume:
 
     def __call__(self, mesh: Trimesh) -> Array:
         """Volume (1,). Raises EmptyMesh; MeasureError where the mesh is open or its faces do not all point outward."""
-        closed = watertight(mesh)
-        if not closed.is_winding_consistent:
-            raise MeasureError("volume: expected neighbouring faces to be wound alike, got some that are not")
-        if closed.volume <= 0:
-            raise MeasureError(
-                f"volume: expected faces that point outward, got an enclosed volume of {closed.volume:.6g}; "
-                "turn the faces round (mesh.invert())"
-            )
-        return np.array([closed.volume])
+        return np.array([solid(mesh, "volume").volume])
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (1, V, 3): a third of the faces' area vectors around. Raises as a call does."""
+        solid(mesh, "volume")
+        corners = corners_of(mesh)
+        sixth = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 6
+        return by_vertices(np.repeat(sixth[None, :, None], 3, axis=2), mesh)
 
 
 @dataclass(frozen=True)
@@ -116,6 +151,15 @@ class Area:
     def __call__(self, mesh: Trimesh) -> Array:
         """Area (1,). Raises EmptyMesh, and MeasureError where a vertex is not finite."""
         return np.array([float(with_faces(mesh).area)])
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (1, V, 3); a face of no area has none. Raises as a call does."""
+        corners = corners_of(with_faces(mesh))
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        size = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = np.divide(normals, size, out=np.zeros_like(normals), where=size > 0)
+        opposite = np.stack([corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3] for k in range(3)], axis=1)
+        return by_vertices(np.cross(normals[:, None], opposite)[None] / 2, mesh)
 
 
 @dataclass(frozen=True)
@@ -137,3 +181,16 @@ class Genus:
                 "turn them (mesh.fix_normals())"
             )
         return np.array([found.bodies, found.genus], float)
+
+
+def by_vertices(by_corners: Array, mesh: Trimesh) -> Array:
+    """(p, V, 3) from derivatives by each face's corners (p, F, 3, 3)."""
+    faces, count = np.asarray(mesh.faces).ravel(), len(mesh.vertices)
+    flat = by_corners.reshape(len(by_corners), -1, 3)
+    return np.stack([np.column_stack([np.bincount(faces, part[:, c], count) for c in range(3)]) for part in flat])
+
+
+def corners_of(mesh: Trimesh) -> Array:
+    """(F, 3, 3) the corners of each face."""
+    corners: Array = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+    return corners

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,10 @@ import numpy as np
 from lampopt.errors import MeasureError
 from lampopt.types import Array
 
-from .basic import merged, with_faces
+from .basic import TIE, merged, with_faces
+from .facets import section as cut
+from .holes import area_and_centre, ring
+from .quantity import Quantity, mean, sqrt
 from .section import free_along_z, section
 
 if TYPE_CHECKING:
@@ -52,6 +56,24 @@ class Plate:
         except MeasureError:  # perhaps only loose triangles; joining them always would cost more than measuring
             return _plate(merged(mesh))
 
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (6, V, 3); corners that tie for a side's position share it.
+
+        Raises as a call does, and MeasureError where faces do not share vertices.
+        """
+        with_faces(mesh)
+        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        low, high = _moving_sides(vertices, faces)
+        holes = []
+        for h in HEIGHTS:
+            height = low[2] + h * (high[2] - low[2])
+            area, x, y = _hole(vertices, faces, float(height))
+            holes.append(area_and_centre(ring(cut(mesh, "z", height), 2, (x, y), float(np.sqrt(area / np.pi))), 2))
+        whole, *centre = (mean(part) for part in zip(*holes, strict=True))
+        places = [place - (low[k] + high[k]) / 2 for k, place in enumerate(centre)]
+        values = [*(b - a for a, b in zip(low, high, strict=True)), sqrt(whole / np.pi), *places]
+        return np.stack([value.gradient(len(vertices)) for value in values])
+
 
 def _plate(mesh: Trimesh) -> Array:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -64,23 +86,13 @@ def _plate(mesh: Trimesh) -> Array:
 
 def _sides(vertices: Array, faces: Array) -> tuple[Array, Array]:
     """Where the six sides lie: (3,) low and (3,) high."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    size = np.linalg.norm(normals, axis=1)
     low, high = np.zeros(3), np.zeros(3)
-    for axis, name in enumerate("xyz"):
-        for sign, side in ((-1, low), (1, high)):
-            facing = sign * normals[:, axis] > FACING * size
-            if not facing.any():
-                raise MeasureError(
-                    f"plate: expected a side towards {'+' if sign > 0 else '-'}{name}, got no face there"
-                )
-            # A third of each face's area at each corner, so that two long triangles tell of a slanting side as well.
-            weight = np.repeat(size[facing], 3)
-            reach = sign * vertices[faces[facing], axis].ravel()
-            order = np.argsort(reach)[::-1]
-            passed = np.cumsum(weight[order])
-            side[axis] = sign * reach[order[np.searchsorted(passed, OVERLOOKED * passed[-1])]]
+    for axis, sign, corners, weight in _facing(vertices, faces):
+        reach = sign * vertices[corners, axis]
+        order = np.argsort(reach)[::-1]
+        passed = np.cumsum(weight[order])
+        side = high if sign > 0 else low
+        side[axis] = sign * reach[order[np.searchsorted(passed, OVERLOOKED * passed[-1])]]
     if (low >= high).any():
         axis = int((high - low).argmin())
         raise MeasureError(
@@ -88,6 +100,35 @@ def _sides(vertices: Array, faces: Array) -> tuple[Array, Array]:
             "either they point inward (turn them round: mesh.invert()), or a side is missing"
         )
     return low, high
+
+
+def _facing(vertices: Array, faces: Array) -> Iterator[tuple[int, int, Array, Array]]:
+    """Axis and sign of each side, the vertices at the corners of its faces, and the weight that each has there."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    size = np.linalg.norm(normals, axis=1)
+    for axis, name in enumerate("xyz"):
+        for sign in (-1, 1):
+            facing = sign * normals[:, axis] > FACING * size
+            if not facing.any():
+                raise MeasureError(
+                    f"plate: expected a side towards {'+' if sign > 0 else '-'}{name}, got no face there"
+                )
+            # A third of each face's area at each corner, so that two long triangles tell of a slanting side as well.
+            yield axis, sign, faces[facing].ravel(), np.repeat(size[facing], 3)
+
+
+def _moving_sides(vertices: Array, faces: Array) -> tuple[list[Quantity], list[Quantity]]:
+    """The six sides as `_sides` finds them, each moving with the vertices that lie there."""
+    low, high = _sides(vertices, faces)
+    sides: dict[int, list[Quantity]] = {-1: [], 1: []}
+    for axis, sign, corners, weight in _facing(vertices, faces):
+        at = (high if sign > 0 else low)[axis]
+        tied = np.abs(vertices[corners, axis] - at) <= TIE * (high[axis] - low[axis])
+        slopes = np.zeros((int(tied.sum()), 3))
+        slopes[:, axis] = weight[tied] / weight[tied].sum()
+        sides[sign].append(Quantity(float(at), corners[tied], slopes))
+    return sides[-1], sides[1]
 
 
 def _hole(vertices: Array, faces: Array, height: float) -> tuple[float, float, float]:

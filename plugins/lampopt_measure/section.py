@@ -20,6 +20,7 @@ class Loops:
 
     area: Array  # (n,) positive around material, negative around a hole
     centroid: Array  # (n, 2) of what each encloses
+    polar: Array  # (n,) second polar moment of that about its centroid, with the sign of the area
 
 
 def section(vertices: Array, faces: Array, height: float) -> Loops:
@@ -40,7 +41,7 @@ def section(vertices: Array, faces: Array, height: float) -> Loops:
     above = vertices[:, 2] >= height
     cut = faces[_crossing(above, faces)]
     if len(cut) == 0:
-        return Loops(np.zeros(0), np.zeros((0, 2)))
+        return Loops(np.zeros(0), np.zeros((0, 2)), np.zeros(0))
     lone_above = above[cut].sum(axis=1) == 1
     lone = (above[cut] == lone_above[:, None]).argmax(axis=1)
     rows = np.arange(len(cut))
@@ -68,17 +69,25 @@ def section(vertices: Array, faces: Array, height: float) -> Loops:
     area = np.bincount(loop, cross, count) / 2
     moments = np.stack([np.bincount(loop, (p[:, k] + q[:, k]) * cross, count) / 6 for k in range(2)], axis=1)
     whole = np.abs(area) > SLIVER * np.abs(area).max()
-    return Loops(area[whole], moments[whole] / area[whole, None] + middle[whole])
+    second = np.bincount(loop, (p * p + p * q + q * q).sum(axis=1) * cross, count)[whole] / 12
+    area, away = area[whole], moments[whole] / area[whole, None]
+    return Loops(area, away + middle[whole], second - area * (away**2).sum(axis=1))
 
 
 def free_along_z(vertices: Array, faces: Array, point: Array) -> bool:
     """Whether the vertical line through `point` (2,) meets no face."""
+    return len(over(vertices, faces, point)) == 0
+
+
+def over(vertices: Array, faces: Array, point: Array) -> Array:
+    """The faces (k, 3) that the vertical line through `point` (2,) meets."""
     for axis in range(2):  # narrowing down axis by axis keeps this far cheaper than looking at every face whole
         faces = faces[_crossing(vertices[:, axis] >= point[axis], faces)]
     corners = vertices[:, :2][faces] - point
     following = np.roll(corners, -1, axis=1)
     turn = corners[..., 0] * following[..., 1] - corners[..., 1] * following[..., 0]
-    return not ((turn >= 0).all(axis=1) | (turn <= 0).all(axis=1)).any()
+    met: Array = faces[(turn >= 0).all(axis=1) | (turn <= 0).all(axis=1)]
+    return met
 
 
 def _crossing(beyond: Array, faces: Array) -> Array:

@@ -1,0 +1,249 @@
+"""Direct measures against truth, on true meshes and on what marching cubes make of them; their gradients; their time.
+
+python -m benchmarks.measures --table accuracy     200 designs of each family at f = 1 and at f = 2: R² of each value
+python -m benchmarks.measures --table gradients    derivatives by the vertices against central differences
+python -m benchmarks.measures --table time         milliseconds a measure on a car of about 30,000 faces
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from threadpoolctl import threadpool_limits
+from trimesh import Trimesh
+
+import lampopt
+from lampopt.errors import EmptyMesh, MeasureError
+from lampopt.measured import values_of
+from lampopt.metrics import mean_absolute_error, r_squared
+from lampopt.protocols import Gradient, Measure
+
+from .common import Bench, Row, line, source
+from .fidelity import plain, show, state
+from .truth import Known, families
+
+FACTORS = {1.0: 0.999, 2.0: 0.99}  # f → least R²
+MADE = ("true mesh", "marching cubes 128³")
+STEP = 1e-5  # of the mesh's size, for differences
+FIELDS = 6  # smooth directions in which derivatives are compared
+FLAT = 1e-9  # of the value: one that is the same for all designs has no R²
+
+
+def measured(bench: Bench, known: Known, parameters: NDArray[np.float64]) -> Row:
+    """What is true of one design, and by surface what is measured of it; None and why where nothing is found."""
+    from .recut import recut
+
+    family = known.family
+
+    def make() -> Row:
+        mesh = family.mesh(parameters)
+        truth = known.at(parameters, mesh)
+        names = sorted({address.partition(".")[0] for address in truth})
+        found = {made: read(bench, names, shape) for made, shape in zip(MADE, (mesh, recut(mesh)), strict=True)}
+        return {"true": truth, **{made: {a: values.get(a) for a in truth} for made, values in found.items()}}
+
+    code = [source(bench.plugins.get("measure", "extents").resolve()), source(type(family))]
+    return bench.scores.get(["measures", family.name, parameters.tolist(), code], make)
+
+
+def read(bench: Bench, names: Sequence[str], mesh: Trimesh) -> dict[str, float]:
+    """Every value of the measures `names` that is found on `mesh`, by address."""
+    found: dict[str, float] = {}
+    for name in names:
+        measure: Measure = bench.plugins.make("measure", name)
+        try:
+            values = values_of(name, measure, mesh).tolist()
+        except (MeasureError, EmptyMesh) as error:
+            bench.console.print(f"{name}: {error}", highlight=False)
+            continue
+        found |= {f"{name}.{value}": v for value, v in zip(measure.names, values, strict=True)}
+    return found
+
+
+def drawn(known: Known, count: int, factor: float, seed: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+    """`count` designs from the range widened by `factor` that have a mesh, each with how many had none before it."""
+    rng = np.random.default_rng(seed)
+    low, high = known.family.widened(factor)
+    refused = 0
+    for _ in range(count):
+        while True:
+            parameters = rng.uniform(low, high)
+            try:
+                known.family.mesh(parameters)
+            except lampopt.errors.InputError:
+                refused += 1
+                continue
+            break
+        yield parameters, refused
+
+
+def accuracy(bench: Bench, names: Sequence[str], count: int) -> dict[str, Any]:
+    """R² and mean absolute error of every value; a design that cannot be measured counts as the family's mean."""
+    lines, notes = [], []
+    for name in names:
+        known = families()[name]
+        for factor, least in FACTORS.items():
+            with bench.stage(f"{name} f={factor:g}: {count} designs") as tell:
+                rows, refused = [], 0
+                for parameters, again in drawn(known, count, factor, bench.seed):
+                    tell(len(rows) / count)
+                    rows.append(measured(bench, known, parameters))
+                    refused = again
+            if refused:
+                notes.append(f"{name} f={factor:g}: {refused} draws had no shape and were drawn again")
+            for made in MADE:
+                lines += compared(name, factor, made, rows, least)
+    return {"rows": lines, "notes": notes}
+
+
+def compared(name: str, factor: float, made: str, rows: Sequence[Row], least: float) -> list[Row]:
+    """A line for each value; one that is the same for all designs is held against it, as it has no R²."""
+    truth: dict[str, list[float]] = defaultdict(list)
+    found: dict[str, list[float | None]] = defaultdict(list)
+    for row in rows:
+        for address, value in row["true"].items():
+            truth[address].append(value)
+            found[address].append(row[made][address])
+    lines = []
+    for address, given in truth.items():
+        true, missing = np.array(given), sum(value is None for value in found[address])
+        values = np.array([true.mean() if v is None else v for v in found[address]], float)
+        about = {"f": factor, "on": made, "designs": len(true), "missing": missing}
+        error = float(mean_absolute_error(true, values))
+        if np.ptp(true) <= FLAT * max(abs(true).max(), 1e-9):
+            off = float(np.abs(values - true).max())
+            lines.append(
+                line(f"{name} {address}, all {true[0]:g}: largest error", off, target=None, mae=error, **about)
+            )
+        else:
+            r2 = r_squared(true, values)
+            lines.append(line(f"{name} {address}: R²", r2, target=f">= {least}", mae=error, **about))
+    return lines
+
+
+def fields(mesh: Trimesh, rng: np.random.Generator) -> Iterator[NDArray[np.float64]]:
+    """Smooth motions of the vertices (V, 3), of about the mesh's size."""
+    vertices, size = np.asarray(mesh.vertices), float(max(mesh.extents))
+    for _ in range(FIELDS):
+        waves, phase, ways = rng.normal(0, 2.5, (4, 3)), rng.uniform(0, 2 * np.pi, 4), rng.normal(size=(4, 3))
+        yield size * np.sin(vertices / size @ waves.T + phase) @ ways / 4
+
+
+def gradients(bench: Bench, names: Sequence[str], count: int) -> dict[str, Any]:
+    """The worst difference between a derivative and a central difference, in parts of the largest of the directions."""
+    lines = []
+    for name in names:
+        known = families()[name]
+        used = {a.partition(".")[0] for p, _ in drawn(known, 1, 1.0, bench.seed) for a in _truth(known, p)}
+        for measure_name in sorted(used):
+            measure: Measure = bench.plugins.make("measure", measure_name)
+            if not isinstance(measure, Gradient):
+                continue
+            worst = np.zeros(len(measure.names))
+            with bench.stage(f"{name} {measure_name}: {count} designs"):
+                for parameters, _ in drawn(known, count, 1.0, bench.seed + 1):
+                    mesh = known.family.mesh(parameters)
+                    worst = np.maximum(worst, difference(measure, mesh, np.random.default_rng(bench.seed)))
+            for value, off in zip(measure.names, worst.tolist(), strict=True):
+                lines.append(line(f"{name} {measure_name}.{value}", off, target="<= 1e-4", designs=count))
+    return {"rows": lines, "notes": []}
+
+
+def difference(measure: Measure, mesh: Trimesh, rng: np.random.Generator) -> NDArray[np.float64]:
+    """(p,) worst of the directions."""
+    assert isinstance(measure, Gradient)
+    vertices, gradient = np.asarray(mesh.vertices), np.asarray(measure.gradient(mesh))
+    told, seen = [], []
+    for field in fields(mesh, rng):
+        ends = [measure(Trimesh(vertices + sign * STEP * field, mesh.faces, process=False)) for sign in (-1, 1)]
+        seen.append((ends[1] - ends[0]) / (2 * STEP))
+        told.append((gradient * field).sum((1, 2)))
+    scale = np.abs(seen).max(0)
+    off: NDArray[np.float64] = np.abs(np.array(told) - np.array(seen)).max(0) / np.where(scale > 0, scale, 1.0)
+    return off
+
+
+def _truth(known: Known, parameters: NDArray[np.float64]) -> dict[str, float]:
+    return known.at(parameters, known.family.mesh(parameters))
+
+
+def times(bench: Bench, repeats: int) -> dict[str, Any]:
+    """Median of `repeats`, each on a mesh object of its own: what trimesh remembers of one is not counted on."""
+    known = families()["car"]
+    mesh = known.family.mesh((known.family.low + known.family.high) / 2)
+    lines = []
+    used = sorted({address.partition(".")[0] for address in _truth(known, (known.family.low + known.family.high) / 2)})
+    for name in used:
+        measure: Measure = bench.plugins.make("measure", name)
+        calls = [("", measure)] + ([(" with gradient", measure.gradient)] if isinstance(measure, Gradient) else [])
+        for what, call in calls:
+            spent = []
+            for _ in range(repeats + 1):  # the first loads what is imported late
+                fresh = Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False)
+                began = time.perf_counter()
+                call(fresh)
+                spent.append(time.perf_counter() - began)
+            milliseconds = round(1000 * float(np.median(spent[1:])), 2)
+            lines.append(line(f"{name}{what} [ms]", milliseconds, faces=len(mesh.faces)))
+    return {"rows": lines, "notes": [f"a car of {len(mesh.faces):,} faces, median of {repeats}"]}
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.measures", description=__doc__.partition("\n")[0])
+    parser.add_argument("--table", choices=("accuracy", "gradients", "time"), default="accuracy")
+    parser.add_argument("--family", action="append", choices=tuple(families()), help="default: all; repeatable")
+    parser.add_argument("--count", type=int, default=200, help="designs of each family and factor")
+    parser.add_argument("--seed", type=int, default=0, help="of the draws")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where rows are kept")
+    parser.add_argument("--out", type=Path, default=None, help="folder for a JSON document")
+    parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
+    args = parser.parse_args(given)
+    os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
+    bench = Bench(args.cache, lampopt.Spec("sdf-mlp"), seed=args.seed)
+    names = args.family or tuple(families())
+    make = {
+        "accuracy": partial(accuracy, bench, names, args.count),
+        "gradients": partial(gradients, bench, names, min(args.count, 3)),
+        "time": partial(times, bench, min(args.count, 7)),
+    }[args.table]
+    with threadpool_limits(args.threads, user_api="blas"):
+        table = make()
+    document = {
+        "benchmark": "measures",
+        "table": args.table,
+        "seed": args.seed,
+        "lampopt": version("lampopt"),
+        "commit": state(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "met": [sum(row["met"] is wanted for row in table["rows"]) for wanted in (True, False)],
+        **table,
+        "seconds": bench.seconds,
+    }
+    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / f"measures-{args.table}.json").write_text(text + "\n", encoding="utf-8")
+    if args.json:
+        sys.stdout.write(text + "\n")
+    else:
+        show(Console(width=160), f"measures: {args.table}", table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+"""What is true of a family's designs, by its parameters: closed forms, and of free-form bodies the true mesh's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from trimesh import Trimesh
+
+from lampopt_families import ahmed, bwb, car, plate
+from lampopt_families.parametric import Family
+
+Values = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Known:
+    """A family and what is true of its designs: address → value, from parameters and the true mesh."""
+
+    family: Family
+    more: Callable[[Values, Trimesh], Values]
+
+    def at(self, parameters: NDArray[np.float64], mesh: Trimesh) -> Values:
+        given = dict(zip(self.family.names, parameters.tolist(), strict=True))
+        found = {address: given[name] for name, address in self.family.measured.items()}
+        return found | self.more(given, mesh)
+
+
+def of_plate(p: Values, mesh: Trimesh) -> Values:
+    """A plate is a slab less a cylinder; its moments follow from Steiner's theorem."""
+    length, width, thickness, radius, x, y = p.values()
+    slab, bore = length * width * thickness, np.pi * radius**2 * thickness
+    volume = slab - bore
+    centre = -bore / volume * np.array([x, y, 0.0])
+    square = thickness**2 / 12
+    tensor = slab * np.diag([width**2 / 12 + square, length**2 / 12 + square, (length**2 + width**2) / 12])
+    tensor -= bore * np.diag([radius**2 / 4 + square, radius**2 / 4 + square, radius**2 / 2])
+    for mass, at in ((slab, centre), (-bore, np.array([x, y, 0.0]) - centre)):
+        tensor += mass * (at @ at * np.eye(3) - np.outer(at, at))
+    moments = np.linalg.eigvalsh(tensor)
+    sides = 2 * (length * width + length * thickness + width * thickness)
+    return {
+        "extents.length": length,
+        "extents.width": width,
+        "extents.height": thickness,
+        "volume.volume": volume,
+        "area.area": sides - 2 * np.pi * radius**2 + 2 * np.pi * radius * thickness,
+        "genus.genus": 1.0,
+        "genus.bodies": 1.0,
+        "hole.radius": radius,
+        "hole.x": x,
+        "hole.y": y,
+        "hole.z": 0.0,
+        "holes.count": 1.0,
+        "wall.least": thickness,
+        "wall.median": thickness,
+        "centroid.x": float(centre[0]),
+        "centroid.y": float(centre[1]),
+        **{f"inertia.{name}": float(m) for name, m in zip(("least", "middle", "largest"), moments, strict=True)},
+    }
+
+
+def shadow(mesh: Trimesh, along: int) -> float:
+    """Area of the silhouette along an axis: every projected triangle, united by another library (shapely)."""
+    flat = np.delete(np.asarray(mesh.vertices), along, axis=1)[mesh.faces]
+    return float(shapely.union_all(shapely.polygons(flat), grid_size=1e-3).area)
+
+
+def of_car(p: Values, mesh: Trimesh) -> Values:
+    return {
+        "vehicle.height": p["roof_height"],
+        "wheels.track_rear": p["track"],
+        "wheels.radius_rear": p["wheel_radius"],
+        "frontal-area.frontal_area": shadow(mesh, 0),
+        "wetted-area.wetted_area": float(mesh.area),
+        "volume.volume": float(mesh.volume),
+    }
+
+
+def of_ahmed(p: Values, mesh: Trimesh) -> Values:
+    return {"frontal-area.frontal_area": shadow(mesh, 0), "volume.volume": float(mesh.volume)}
+
+
+def of_bwb(p: Values, mesh: Trimesh) -> Values:
+    at = bwb.stations(np.array(list(p.values())))
+    span = 2 * float(at.y[-1])
+    area = float((np.diff(at.y) * (at.chord[1:] + at.chord[:-1])).sum())
+    found = {
+        "wing.span": span,
+        "wing.planform_area": area,
+        "wing.aspect_ratio": span**2 / area,
+        "wing.mean_chord": area / span,
+        "volume.volume": float(mesh.volume),
+    }
+    for percent in (25, 50, 75):
+        y = percent / 100 * at.y[-1]
+        panel = int(np.searchsorted(at.y, y)) - 1
+        if np.abs(at.y - y).min() > 0.03 * at.y[-1]:  # on a kink there is no one sweep
+            slope = (at.leading_edge[panel + 1] - at.leading_edge[panel]) / (at.y[panel + 1] - at.y[panel])
+            found[f"stations.sweep_{percent}"] = float(np.degrees(np.arctan(slope)))
+        found[f"stations.thickness_{percent}"] = float(np.interp(y, at.y, at.thickness))
+    return found
+
+
+def families() -> Mapping[str, Known]:
+    """Everything that is measured, and what is true of it."""
+    return {
+        "plate": Known(plate.family(), of_plate),
+        "car": Known(car.FAMILY, of_car),
+        "ahmed": Known(ahmed.FAMILY, of_ahmed),
+        "bwb": Known(bwb.family(), of_bwb),
+    }

@@ -1,0 +1,141 @@
+"""What parametric families have in common: named ranges, draws over them, meshes made on access."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types import Array, Exemplars, Parameter
+
+from .draws import DESIGNS, draws
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+MOST = {"count": 100_000, "seed": 2**63 - 1}  # beyond lies a slip, or a machine out of memory
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A family of shapes by formula.
+
+    Parameters
+    ----------
+    name
+        Of the source; it begins the exemplars' names and every message.
+    space
+        The d parameters.
+    low, high
+        (d,) the range that exemplars are drawn from [each parameter's unit].
+    unit
+        Length unit of the meshes.
+    measured
+        Which parameter can be measured how: parameter → address.
+    mesh
+        The true mesh at parameters (d,), also outside the range. Raises InputError naming a parameter for which there
+        is none.
+    """
+
+    name: str
+    space: tuple[Parameter, ...]
+    low: Array
+    high: Array
+    unit: str
+    measured: Mapping[str, str]
+    mesh: Callable[[Array], Trimesh]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names."""
+        return tuple(q.name for q in self.space)
+
+    def checked_options(self, count: int, design: str, seed: int) -> None:
+        """Raise InputError for draws that cannot be made."""
+        for option, value in (("count", count), ("seed", seed)):
+            if isinstance(value, bool) or not isinstance(value, int) or value > MOST[option]:
+                raise InputError(
+                    f"{self.name}: {option}: expected a whole number up to {MOST[option]:,}, got {value!r:.100}"
+                )
+        if design not in DESIGNS:
+            raise InputError(f"{self.name}: design: expected one of {', '.join(DESIGNS)}, got {design!r}")
+        if design == "ends" and count != self.ends:
+            raise InputError(
+                f"{self.name}: design 'ends' has {self.ends} exemplars, got count={count}; "
+                "for another count choose lhs, sobol or random"
+            )
+        if count < 1:
+            raise InputError(f"{self.name}: count: expected at least 1, got {count}")
+        if seed < 0:
+            raise InputError(f"{self.name}: seed: expected 0 or more, got {seed}")
+
+    @property
+    def ends(self) -> int:
+        """How many exemplars the design `ends` has: the middle of the range and each parameter's two ends."""
+        return 2 * len(self.space) + 1
+
+    def exemplars(self, count: int, design: str, seed: int) -> Exemplars:
+        """The exemplars; names say the end, or count the draws."""
+        self.checked_options(count, design, seed)
+        if design == "ends":
+            names, parameters = self._at_the_ends()
+        else:
+            names = tuple(f"{self.name}_{i:0{len(str(count - 1))}d}" for i in range(count))
+            parameters = draws(design, count, self.low, self.high, seed)
+        return Exemplars(
+            parameters=parameters,
+            space=self.space,
+            meshes=Made(self.mesh, parameters),
+            names=names,
+            unit=self.unit,
+            measured=self.measured,
+            mesh_at=self.mesh,
+        )
+
+    def _at_the_ends(self) -> tuple[tuple[str, ...], Array]:
+        middle = (self.low + self.high) / 2
+        rows, names = [middle], ["middle"]
+        for k, name in enumerate(self.names):
+            for end, values in (("low", self.low), ("high", self.high)):
+                rows.append(np.where(np.arange(len(middle)) == k, values[k], middle))
+                names.append(f"{name}_{end}")
+        return tuple(names), np.array(rows)
+
+    def widened(self, factor: float) -> tuple[Array, Array]:
+        """Low and high (d,) of the range widened about its middle: `factor` 3 is ±100 % beyond each end."""
+        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
+        return middle - factor * half, middle + factor * half
+
+    def parameters(self, given: Array) -> Array:
+        """`given` as (d,) finite numbers. Raises InputError saying what they should be."""
+        values = np.asarray(given, float)
+        if values.shape != (len(self.space),):
+            raise InputError(
+                f"{self.name}: expected {len(self.space)} parameters, {', '.join(self.names)}, got shape {values.shape}"
+            )
+        if wrong := [f"{n} is {v}" for n, v in zip(self.names, values, strict=True) if not np.isfinite(v)]:
+            raise InputError(f"{self.name}: expected finite parameters, got {'; '.join(wrong)}")
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class Made(Sequence["Trimesh"]):
+    """The meshes at `parameters` (N, d), made on access."""
+
+    mesh: Callable[[Array], Trimesh]
+    parameters: Array
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @overload
+    def __getitem__(self, index: int) -> Trimesh: ...
+    @overload
+    def __getitem__(self, index: slice) -> Made: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return Made(self.mesh, self.parameters[index])
+        return self.mesh(self.parameters[index])

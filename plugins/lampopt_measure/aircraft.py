@@ -1,0 +1,208 @@
+"""Aircraft: span and planform, sweep and thickness by station, the planform parameters of a blended wing body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.errors import InputError, MeasureError
+from lampopt.types import Array
+
+from .aircraft_planform import planform
+from .aircraft_sections import MODELS, Halves, edges
+from .silhouette import FrontalArea
+
+if TYPE_CHECKING:
+    from torch import Tensor
+    from trimesh import Trimesh
+
+WINDOW = 0.02  # of the half span: a sweep is taken from this far to either side of its station
+OUTER = (0.03, 0.96)  # of the half span: where stations may lie
+ACROSS = 5  # sections for a sweep, an odd number
+FROM_ABOVE = FrontalArea(forward="z", up="x")
+
+
+def example_wing() -> Trimesh:
+    """The right half of an aircraft of three panels, closed: 1000 long in the middle, 700 from there to the tip."""
+    from trimesh import Trimesh
+
+    corners, nose, chord = (0, 150, 270, 700), (0, 180, 320, 560), (1000, 680, 230, 70)
+    across = np.unique(np.r_[np.linspace(0, 700, 57), corners])
+    there = 1 - np.cos(np.linspace(0, np.pi / 2, 25))
+    share, side = np.r_[there, there[-2:0:-1]], np.r_[np.ones(25), -np.ones(23)]  # round each section, once
+    start, length = (np.interp(across, corners, values)[:, None] for values in (nose, chord))
+    x, z = start + length * share, 0.2 * length * side * np.sqrt(share) * (1 - share)
+    count = len(share)
+    ring = np.arange(x.size).reshape(x.shape)
+    a, b = ring, np.roll(ring, -1, axis=1)
+    skin = [[a[:-1], b[:-1], b[1:]], [a[:-1], b[1:], a[1:]]]
+    upper, lower = np.arange(count // 2 + 1), -np.arange(count // 2 + 1)
+    cap = [[upper[:-1], lower[1:], upper[1:]], [upper[:-1], lower[:-1], lower[1:]]]
+    root = [[ring[0][corner] for corner in triangle] for triangle in cap]
+    tip = [[ring[-1][corner] for corner in triangle[::-1]] for triangle in cap]
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in (*skin, *root, *tip)])
+    p, q, r = faces.T
+    vertices = np.stack([x, np.broadcast_to(across[:, None], x.shape), z], axis=-1).reshape(-1, 3)
+    return Trimesh(vertices, faces[(p != q) & (q != r) & (r != p)], process=False)
+
+
+@dataclass(frozen=True)
+class Wing:
+    """Span from tip to tip, planform area, aspect ratio span² / area, mean chord area / span.
+
+    The area is what the aircraft covers seen from above, its body included. Of a half model span and area are doubled.
+
+    Parameters
+    ----------
+    model
+        "half" or "whole"; without it a model is a half one whose sections are unlike near both ends across.
+    """
+
+    model: str = ""
+
+    names = ("span", "planform_area", "aspect_ratio", "mean_chord")
+    units = ("L", "L^2", "", "L")
+
+    def __post_init__(self) -> None:
+        _checked_model(self.model)
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """The four values (4,). Raises EmptyMesh, MeasureError."""
+        span, area, _ = self._measured(mesh)
+        return np.array([span, area, span**2 / area, area / span])
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (4, V, 3); tips that tie share theirs. Raises EmptyMesh, MeasureError."""
+        span, area, halves = self._measured(mesh)
+        twice = 2.0 / len(halves.sides)
+        by_span = np.zeros((len(halves.vertices), 3))
+        for (rows, weights), sign in ((halves.high, 1.0), (halves.low, -1.0)):
+            by_span[rows, 1] += sign * twice * weights
+        by_area = twice * FROM_ABOVE.gradient(mesh)[0]
+        ratio = 2 * span / area * by_span - (span / area) ** 2 * by_area
+        return np.array([by_span, by_area, ratio, by_area / span - area / span**2 * by_span])
+
+    def _measured(self, mesh: Trimesh) -> tuple[float, float, Halves]:
+        halves = Halves.of(mesh, self.model)
+        area = 2.0 / len(halves.sides) * float(FROM_ABOVE(mesh)[0])
+        return 2 * halves.span, area, halves
+
+    def example_mesh(self) -> Trimesh:
+        """A small half aircraft."""
+        return example_wing()
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Leading-edge sweep and thickness-to-chord of a wing at stations of its half span.
+
+    The sweep is that of a line through the noses of sections around the station, positive to the rear; the thickness is
+    the largest extent along z of the section there, over the chord.
+
+    Parameters
+    ----------
+    stations
+        Shares of the half span, as in "0.25,0.5,0.75". Their values are named sweep_25, thickness_25, ...
+    model
+        "half" or "whole"; without it a model is a half one whose sections are unlike near both ends across.
+    """
+
+    stations: str = "0.25,0.5,0.75"
+    model: str = ""
+
+    def __post_init__(self) -> None:
+        _checked_model(self.model)
+        places = self._places
+        if not places or len(set(places)) < len(places) or not all(OUTER[0] <= s <= OUTER[1] for s in places):
+            raise InputError(
+                f"stations: expected distinct shares of the half span from {OUTER[0]} to {OUTER[1]}, "
+                f"as in '0.25,0.5,0.75', got {self.stations!r:.100}"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The values' names: the station in percent, its decimal point as an underscore."""
+        percents = [f"{100 * place:.6g}".replace(".", "_") for place in self._places]
+        return tuple(f"{what}_{percent}" for percent in percents for what in ("sweep", "thickness"))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return ("deg", "") * len(self._places)
+
+    @property
+    def _places(self) -> tuple[float, ...]:
+        try:
+            return tuple(float(part) for part in self.stations.split(","))
+        except ValueError:
+            return ()
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Sweep [deg] and thickness for each station (2n,). Raises EmptyMesh, MeasureError."""
+        halves = Halves.of(mesh, self.model)
+        offsets = WINDOW * np.linspace(-1, 1, ACROSS)
+        found = edges(halves, (np.array(self._places)[:, None] + offsets).ravel())
+        shape = len(self._places), ACROSS, len(halves.sides)
+        nose, tail, thickness = (part.numpy().reshape(shape) for part in (found.nose, found.tail, found.thickness))
+        away = offsets * halves.span
+        sweep = np.degrees(np.arctan(away @ nose.mean(axis=2).T / (away @ away)))
+        relative = (thickness / (tail - nose))[:, ACROSS // 2].mean(axis=1)
+        return np.stack([sweep, relative], axis=1).ravel()
+
+    def example_mesh(self) -> Trimesh:
+        """A small half aircraft."""
+        return example_wing()
+
+
+@dataclass(frozen=True)
+class Bwb:
+    """The planform of a blended wing body (BlendedNet, Sung et al., 2025): three panels with straight edges.
+
+    Widths B1, B2, B3 of the panels from the plane of symmetry, chords C1 to C4 at their ends, sweeps S1, S2, S3 of the
+    leading edge. Sections have to have round noses and thin tails: both are found from the thickness, so that marching
+    cubes may cut the last millimetres off. A panel narrower than a few cells cannot be told.
+
+    Parameters
+    ----------
+    model
+        "half" or "whole"; without it a model is a half one whose sections are unlike near both ends across.
+    """
+
+    model: str = ""
+
+    names = ("B1", "B2", "B3", "C1", "C2", "C3", "C4", "S1", "S2", "S3")
+    units = ("L",) * 7 + ("deg",) * 3
+
+    def __post_init__(self) -> None:
+        _checked_model(self.model)
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """The ten values (10,). Raises EmptyMesh; MeasureError where there are no three panels."""
+        return np.array([float(value) for value in self._values(Halves.of(mesh, self.model))])
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (10, V, 3); which sections count is taken as constant. Raises as a call does."""
+        import torch
+
+        halves = Halves.of(mesh, self.model)
+        vertices = torch.tensor(halves.vertices, requires_grad=True)
+        values = self._values(halves, vertices)
+        found = [torch.autograd.grad(value, vertices, retain_graph=True)[0].numpy() for value in values]
+        if not np.isfinite(found).all():
+            raise MeasureError("bwb: expected a smooth wing, got one whose values have no derivative by the vertices")
+        return np.array(found)
+
+    def _values(self, halves: Halves, vertices: Tensor | None = None) -> list[Tensor]:
+        found = planform(halves, vertices)
+        return [*found.widths, *found.chords, *found.sweeps]
+
+    def example_mesh(self) -> Trimesh:
+        """A small half aircraft."""
+        return example_wing()
+
+
+def _checked_model(model: str) -> None:
+    if model not in MODELS:
+        raise InputError(f"model: expected 'half', 'whole' or '' to see for itself, got {model!r:.100}")

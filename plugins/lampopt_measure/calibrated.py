@@ -1,0 +1,238 @@
+"""Direct measurements mapped onto labelled parameters, on exemplars of which both are known (paper, appendix H).
+
+A data set's "car length" may be a change from a base car; the wheelbase of a mesh can be measured. What leads from one
+to the other is a straight line, fitted on the exemplars and judged by leaving each of them out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.errors import InputError, MeasureError
+from lampopt.measured import resolve_address, values_of
+from lampopt.protocols import Gradient, Measure
+from lampopt.types import Array
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+BEYOND = 0.1  # of the exemplars' spread, how far past them a measured value may lie before it counts as outside
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Fits each asked value as ``intercept + Σ slope × measured value``, by least squares.
+
+    Parameters
+    ----------
+    by
+        What is measured: addresses `measure.value`, separated by commas.
+    """
+
+    by: str = "extents.length"
+
+    def __post_init__(self) -> None:
+        if not self.addresses or len(set(self.addresses)) < len(self.addresses):
+            raise InputError(
+                f"calibrated: by: expected addresses such as 'wheels.wheelbase', each once, got {self.by!r}"
+            )
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """What is measured."""
+        return tuple(part.strip() for part in self.by.split(",") if part.strip())
+
+    def fit(
+        self, meshes: Sequence[Trimesh], values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
+    ) -> CalibratedMeasure:
+        """Calibrate on n meshes with values (n, p), NaN where one is not known; `seed` is not used: nothing is drawn.
+
+        Raises
+        ------
+        InputError
+            If there are too few exemplars for the line, or a measured value does not vary over them.
+        MeasureError
+            If a feature is not there, naming the mesh's place in `meshes`.
+        """
+        gauge = Gauge(self.addresses)
+        measured = np.array([gauge.at(mesh, f"calibrated: mesh {i}") for i, mesh in enumerate(meshes)])
+        values = np.asarray(values, float)
+        lines, left_out = [], np.full(values.shape, np.nan)
+        for column, name in enumerate(names):
+            known = np.isfinite(values[:, column])
+            line, left_out[known, column] = _line(measured[known], values[known, column], name, self.addresses)
+            lines.append(line)
+        return CalibratedMeasure(
+            names=tuple(names),
+            units=tuple(units),
+            addresses=self.addresses,
+            lines=np.array(lines),
+            left_out=left_out,
+            values=values,
+            measured=measured,
+        )
+
+
+def _line(measured: Array, values: Array, name: str, addresses: Sequence[str]) -> tuple[Array, Array]:
+    """(1 + k,) intercept and slopes, and each exemplar's error (n,) by the line through the others."""
+    n, k = measured.shape
+    if n < k + 2:
+        raise InputError(f"calibrated: {name}: expected at least {k + 2} exemplars with a value, got {n}")
+    if still := [a for a, spread in zip(addresses, np.ptp(measured, axis=0), strict=True) if spread == 0]:
+        raise InputError(f"calibrated: {', '.join(still)}: the same on all exemplars, {name} cannot be told from it")
+    middle, spread = measured.mean(0), np.ptp(measured, axis=0)
+    design = np.column_stack([np.ones(n), (measured - middle) / spread])
+    q, r = np.linalg.qr(design)
+    if np.abs(np.diag(r)).min() < 1e-9 * np.abs(np.diag(r)).max():
+        raise InputError(f"calibrated: {', '.join(addresses)}: depend on each other over the exemplars, leave one out")
+    found = np.linalg.solve(r, q.T @ values)
+    leverage = np.minimum((q**2).sum(1), 1 - 1e-9)
+    slopes = found[1:] / spread
+    return np.r_[found[0] - middle @ slopes, slopes], (values - design @ found) / (1 - leverage)
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """The values at `addresses`, each measure called once a mesh."""
+
+    addresses: tuple[str, ...]
+
+    @cached_property
+    def parts(self) -> list[tuple[str, Measure, int]]:
+        """Name, measure and place of each value, found when first asked for."""
+        from lampopt.plugins import Plugins
+
+        plugins = Plugins.load()
+        found = [resolve_address(address, plugins) for address in self.addresses]
+        return [(address.partition(".")[0], measure, place) for address, measure, place in found]
+
+    def at(self, mesh: Trimesh, whose: str = "calibrated") -> Array:
+        """(k,) measured on `mesh`. Raises MeasureError saying `whose` feature is not there."""
+        known: dict[str, Array] = {}
+        for name, measure, _ in self.parts:
+            if name not in known:
+                try:
+                    known[name] = values_of(name, measure, mesh)
+                except MeasureError as error:
+                    raise MeasureError(f"{whose}: {name}: {error}") from error
+        found = np.array([known[name][place] for name, _, place in self.parts])
+        if not np.isfinite(found).all():
+            raise MeasureError(f"{whose}: expected finite values of {', '.join(self.addresses)}, got {found}")
+        return found
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """(k, V, 3). Raises MeasureError where a measure has none."""
+        known: dict[str, Array] = {}
+        for name, measure, _ in self.parts:
+            if not isinstance(measure, Gradient):
+                raise MeasureError(f"calibrated: measure {name!r} has no gradient")
+            if name not in known:
+                known[name] = np.asarray(measure.gradient(mesh), float)
+        return np.array([known[name][place] for name, _, place in self.parts])
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedMeasure:
+    """What `Calibrated` fitted.
+
+    Parameters
+    ----------
+    names, units
+        (p,) as asked for.
+    addresses
+        (k,) what is measured.
+    lines
+        (p, 1 + k) intercept and slopes.
+    left_out
+        (n, p) each exemplar's error by the line through the others; NaN where it has no value.
+    values
+        (n, p) what the exemplars have.
+    measured
+        (n, k) what was measured on them.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    addresses: tuple[str, ...]
+    lines: Array
+    left_out: Array
+    values: Array
+    measured: Array
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Values (p,). Raises MeasureError where what is measured is not there."""
+        self._with_faces(mesh)
+        return np.asarray(self.lines[:, 0] + self.lines[:, 1:] @ self._gauge.at(mesh))
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """(p, V, 3). Raises MeasureError where what is measured has none."""
+        return np.asarray(np.einsum("pk,kvc->pvc", self.lines[:, 1:], self._gauge.gradient(mesh)))
+
+    def interval(self, mesh: Trimesh, level: float) -> Array:
+        """(p, 2) low and high that hold the true value of a share `level` of shapes like the exemplars.
+
+        The conformal quantile of the errors by leaving one out; the largest where there are too few exemplars for it.
+        """
+        values, ends = self(mesh), []
+        for value, errors in zip(values, self.left_out.T, strict=True):
+            sizes = np.sort(np.abs(errors[np.isfinite(errors)]))
+            place = min(int(np.ceil(level * (len(sizes) + 1))), len(sizes)) - 1
+            ends.append((value - sizes[max(place, 0)], value + sizes[max(place, 0)]))
+        return np.array(ends)
+
+    def outside(self, mesh: Trimesh) -> bool:
+        """Whether a measured value lies more than a tenth of the exemplars' spread beyond them."""
+        found, low, high = self._gauge.at(mesh), self.measured.min(0), self.measured.max(0)
+        room = BEYOND * (high - low)
+        return bool(((found < low - room) | (found > high + room)).any())
+
+    @property
+    def mean_absolute_error(self) -> Array:
+        """(p,) by leaving each exemplar out [units]."""
+        return np.asarray(np.nanmean(np.abs(self.left_out), axis=0))
+
+    @property
+    def r2(self) -> Array:
+        """(p,) by leaving each exemplar out."""
+        known = np.isfinite(self.left_out)
+        spread = np.nansum((np.where(known, self.values, np.nan) - np.nanmean(self.values, axis=0)) ** 2, axis=0)
+        return np.asarray(1 - np.nansum(self.left_out**2, axis=0) / np.where(spread > 0, spread, np.nan))
+
+    @property
+    def cross_validated(self) -> dict[str, dict[str, float]]:
+        """`r2` and `mean_absolute_error` by name."""
+        rows = zip(self.names, self.r2.tolist(), self.mean_absolute_error.tolist(), strict=True)
+        return {name: {"r2": r2, "mean_absolute_error": error} for name, r2, error in rows}
+
+    def state(self) -> Mapping[str, Array]:
+        """The arrays; the texts as JSON in bytes."""
+        texts = json.dumps([self.names, self.units, self.addresses]).encode()
+        return {
+            "texts": np.frombuffer(texts, np.uint8),
+            "lines": self.lines,
+            "left_out": self.left_out,
+            "values": self.values,
+            "measured": self.measured,
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Array]) -> CalibratedMeasure:
+        """The measure again."""
+        names, units, addresses = (tuple(part) for part in json.loads(np.asarray(state["texts"]).tobytes()))
+        rest = {name: np.asarray(state[name], float) for name in ("lines", "left_out", "values", "measured")}
+        return cls(names=names, units=units, addresses=addresses, **rest)
+
+    @cached_property
+    def _gauge(self) -> Gauge:
+        return Gauge(self.addresses)
+
+    @staticmethod
+    def _with_faces(mesh: Trimesh) -> None:
+        if len(mesh.faces) == 0:
+            raise MeasureError("calibrated: expected a mesh with faces, got none")

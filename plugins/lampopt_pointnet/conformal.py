@@ -1,0 +1,85 @@
+"""How far to trust what was learned: intervals from residuals found by cross-validation, and where learning ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.types import Array
+
+ALARMS = 0.03  # share of shapes such as those learned from that may be taken for outside
+MOST = 50  # principal directions that distance is taken in
+FOLDS = 5
+
+
+def quantile(scores: Array, level: float) -> float:
+    """The half-width that covers a new value with probability `level` where `scores` (n,) are past errors.
+
+    The ⌈(n + 1) level⌉-th smallest (Vovk et al. 2005); infinite where so few errors promise nothing.
+
+    Raises InputError if `level` is not between 0 and 1.
+    """
+    if not 0 < level < 1:
+        raise InputError(f"level: expected a coverage between 0 and 1, got {level!r}")
+    known = np.sort(scores[np.isfinite(scores)])
+    rank = int(np.ceil((len(known) + 1) * level - 1e-9))
+    return float(known[rank - 1]) if rank <= len(known) else float("inf")
+
+
+def folds(count: int, number: int, seed: int) -> Array:
+    """(count,) the fold of each row, all of nearly one size."""
+    return np.random.default_rng(seed).permutation(count) % min(number, count)
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The region that was learned from: a distance along its principal directions, and one off them.
+
+    Parameters
+    ----------
+    middle, directions
+        (F,) and (F, k): mean features, and principal directions scaled so that coordinates have variance 1.
+    off
+        Root mean square distance from the space of the directions.
+    limit
+        Distance beyond which a shape is outside.
+    """
+
+    middle: Array
+    directions: Array
+    off: Array
+    limit: Array
+
+    @classmethod
+    def of(cls, features: Array, seed: int) -> Region:
+        """The region of standardised features (n, F), its limit from distances found by cross-validation."""
+        fold = folds(len(features), FOLDS, seed)
+        distances = np.zeros(len(features))
+        for k in np.unique(fold):
+            distances[fold == k] = cls._about(features[fold != k]).distance(features[fold == k])
+        about = cls._about(features)
+        return cls(about.middle, about.directions, about.off, np.array(quantile(distances, 1 - ALARMS)))
+
+    @classmethod
+    def _about(cls, features: Array) -> Region:
+        middle = features.mean(axis=0)
+        _, size, ways = np.linalg.svd(features - middle, full_matrices=False)
+        kept = min(MOST, max(1, len(features) // 8), int((size > 1e-9 * size[0]).sum()))
+        rest = np.sqrt((size[kept:] ** 2).sum() / len(features))
+        directions = ways[:kept].T / size[:kept] * np.sqrt(len(features))
+        return cls(middle, directions, np.array(max(float(rest), 1e-9 * size[0])), np.array(np.inf))
+
+    def distance(self, features: Array) -> Array:
+        """(n,) of features (n, F): Mahalanobis, what lies off the directions counted as one more of them."""
+        apart = features - self.middle
+        along = apart @ self.directions
+        size = 1 / (self.directions**2).sum(axis=0)  # variances, for the directions are orthogonal
+        squared = (apart**2).sum(axis=1) - (along**2 * size).sum(axis=1)
+        found: Array = np.sqrt((along**2).sum(axis=1) + np.maximum(squared, 0) / self.off**2)
+        return found
+
+    def outside(self, features: Array) -> bool:
+        """Whether features (F,) lie beyond the limit."""
+        return bool(self.distance(features[None])[0] > self.limit)

@@ -1,0 +1,235 @@
+"""Measures of aircraft against wings in closed form, the family `bwb`, and marching cubes of it."""
+
+import igl
+import numpy as np
+import pytest
+import torch
+import trimesh
+from skimage.measure import marching_cubes
+
+from lampopt.errors import EmptyMesh, InputError, MeasureError
+from lampopt.plugins import Plugins
+from lampopt.protocols import Gradient
+from lampopt.testing import check_measure
+from lampopt_families.bwb import HIGH, LOW, THICKNESS, bwb_mesh, camber, half_thickness, stations
+from lampopt_measure.aircraft import Bwb, Stations, Wing, example_wing
+
+MIDDLE = (np.array(LOW) + HIGH) / 2
+HALF = (np.array(HIGH) - LOW) / 2
+ORDER = [Bwb.names.index(name) for name in ("B1", "B2", "B3", "C2", "C3", "C4", "S1", "S2", "S3")]
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def draws(count, factor, seed):
+    """Parameters from the range widened by `factor`, drawn again where there is no aircraft."""
+    draw, rows = np.random.default_rng(seed), []
+    while len(rows) < count:
+        row = MIDDLE + factor * HALF * draw.uniform(-1, 1, 9)
+        if (row[:3] > 20).all():  # a narrower panel is less than a few cells
+            rows.append(row)
+    return rows
+
+
+def cells(parameters, count):
+    """Marching cubes of the signed distance to the true mesh, `count` cells along each side of its box.
+
+    Farther than a cell from the surface the distance is a rough one, with the right sign: no edge is cut there.
+    """
+    truth, at = bwb_mesh(parameters), stations(parameters)
+    pad = 0.03 * truth.extents
+    step = (truth.extents + 2 * pad) / count
+    axes = [truth.bounds[0][k] - pad[k] + step[k] * np.arange(count + 1) for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    x, y, z = points.T
+    nose, chord, thickness = (np.interp(y, at.y, v) for v in (at.leading_edge, at.chord, at.thickness))
+    share = np.clip((x - nose) / chord, 0, 1)
+    height = np.abs(z - chord * camber(share)) - chord * thickness * half_thickness(share)
+    distance = np.max([height, nose - x, x - nose - chord, -y, y - at.y[-1]], axis=0)
+    near = np.abs(distance) < np.linalg.norm(step)
+    distance[near] = igl.signed_distance(points[near], np.array(truth.vertices), np.array(truth.faces))[0]
+    vertices, faces, _, _ = marching_cubes(distance.reshape((count + 1,) * 3), 0, spacing=tuple(step))
+    mesh = trimesh.Trimesh(vertices + truth.bounds[0] - pad, faces, process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def rectangle(span=3.0, chord=0.5, thickness=0.06):
+    return trimesh.creation.box((chord, span, thickness))
+
+
+def mirrored(mesh):
+    turned = mesh.copy()
+    turned.vertices = np.asarray(mesh.vertices) * (1, -1, 1)
+    turned.invert()
+    return turned
+
+
+# wing
+
+
+def test_rectangular_wing():
+    np.testing.assert_allclose(Wing()(rectangle()), [3, 1.5, 6, 0.5], rtol=1e-9)
+
+
+def test_half_model_counts_twice():
+    np.testing.assert_allclose(Wing(model="half")(rectangle()), [6, 3, 12, 0.5], rtol=1e-9)
+
+
+@pytest.mark.parametrize("half", [True, False])
+def test_wing_of_the_family(half):
+    """Area of the trapezoids between the stations, twice."""
+    at = stations(MIDDLE)
+    area = ((at.chord[1:] + at.chord[:-1]) * np.diff(at.y)).sum()
+    span = 2 * at.y[-1]
+    values = Wing()(bwb_mesh(MIDDLE, half=half))
+    np.testing.assert_allclose(values, [span, area, span**2 / area, area / span], rtol=1e-6)
+
+
+def test_a_left_half_is_as_good_as_a_right_one():
+    mesh = bwb_mesh(MIDDLE, chordwise=32, spanwise=50)
+    for measure in (Wing(), Stations(), Bwb()):
+        np.testing.assert_allclose(measure(mirrored(mesh)), measure(mesh), rtol=1e-6)
+
+
+def test_whole_and_half_model_agree():
+    half, whole = (bwb_mesh(MIDDLE, half=half, chordwise=32, spanwise=50) for half in (True, False))
+    for measure in (Wing(), Stations(), Bwb()):
+        np.testing.assert_allclose(measure(whole), measure(half), rtol=1e-5)
+
+
+# stations
+
+
+def test_stations_of_the_family():
+    """At 60 and 80 % of the half span lies the third panel: its sweep, its thickness."""
+    measure = Stations(stations="0.6,0.8")
+    assert measure.names == ("sweep_60", "thickness_60", "sweep_80", "thickness_80")
+    values = measure(bwb_mesh(MIDDLE))
+    np.testing.assert_allclose(values[::2], MIDDLE[8], atol=0.01)
+    np.testing.assert_allclose(values[1::2], THICKNESS[3], rtol=3e-3)
+
+
+def test_stations_of_a_rectangle():
+    """A box has no round nose: its sections' own ends count."""
+    np.testing.assert_allclose(Stations(stations="0.5")(rectangle()), [0, 0.12], atol=1e-9)
+
+
+def test_names_of_stations():
+    assert Stations(stations="0.125").names == ("sweep_12_5", "thickness_12_5")
+
+
+@pytest.mark.parametrize("text", ["", "half", "0.5,0.5", "0.0", "0.5,1", "nan"])
+def test_stations_that_are_none(text):
+    with pytest.raises(InputError, match=r"stations: expected distinct shares of the half span from 0.03 to 0.96"):
+        Stations(stations=text)
+
+
+# bwb
+
+
+@pytest.mark.parametrize("factor", [1, 2])
+def test_parameters_are_read_off_the_true_mesh(factor):
+    """Lengths to 0.1 mm of 1000, angles to 0.05°, in range and out of it."""
+    for parameters in draws(3, factor, seed=factor):
+        values = Bwb()(bwb_mesh(parameters))
+        np.testing.assert_allclose(values[ORDER][:6], parameters[:6], atol=0.1)
+        np.testing.assert_allclose(values[ORDER][6:], parameters[6:], atol=0.05)
+        assert abs(values[Bwb.names.index("C1")] - 1000) < 0.1
+
+
+@pytest.mark.parametrize("half", [True, False])
+def test_kinks_are_exact_where_facets_are_fine(half):
+    values = Bwb()(bwb_mesh(MIDDLE, half=half, chordwise=160, spanwise=40))
+    np.testing.assert_allclose(values[ORDER], MIDDLE, rtol=2e-5)
+
+
+def test_parameters_are_read_off_marching_cubes():
+    """Cells of 16 mm along the chord, which cut nose and tail short by up to 4; the values are right to a part of it"""
+    (parameters,) = draws(1, 1, seed=5)
+    values = Bwb()(cells(parameters, 64))[ORDER]
+    np.testing.assert_allclose(values[:6], parameters[:6], atol=1.5)
+    np.testing.assert_allclose(values[6:], parameters[6:], atol=0.2)
+
+
+def test_a_few_bad_sections_do_not_matter():
+    """A spike that one vertex makes reaches the sections next to it only."""
+    mesh = bwb_mesh(MIDDLE)
+    clean = Bwb()(mesh)
+    spoilt = mesh.copy()
+    vertices = np.array(mesh.vertices)
+    spike = int(np.abs(vertices - (480, 450, 10)).sum(axis=1).argmin())
+    vertices[spike, 2] += 60
+    spoilt.vertices = vertices
+    np.testing.assert_allclose(Bwb()(spoilt), clean, rtol=1e-3)
+
+
+def test_gradient_is_the_inverse_of_the_family():
+    """Along the change of the mesh by a parameter, that parameter's value grows by one and no other's does."""
+    mesh, step = bwb_mesh(MIDDLE), 1e-3
+    gradient = Bwb().gradient(mesh)[ORDER]
+    changes = [
+        (bwb_mesh(MIDDLE + step * one).vertices - bwb_mesh(MIDDLE - step * one).vertices) / (2 * step)
+        for one in np.eye(9)
+    ]
+    np.testing.assert_allclose(np.einsum("pvk,qvk->pq", gradient, changes), np.eye(9), atol=1e-3)
+
+
+@pytest.mark.parametrize("measure", [Wing(), Bwb()], ids=["wing", "bwb"])
+def test_gradient_against_central_differences(measure):
+    """A shear and a stretch that leave the plane of symmetry plane, as every change of a half model does."""
+    mesh = bwb_mesh(MIDDLE, spanwise=50)
+    assert isinstance(measure, Gradient)
+    vertices, step = np.asarray(mesh.vertices), 1e-4
+    move = vertices @ np.array([[0.3, 0, 0.02], [0.1, 0.4, 0.05], [0.02, 0, -0.2]])
+    ends = []
+    for sign in (-1, 1):
+        moved = mesh.copy()
+        moved.vertices = vertices + sign * step * move
+        ends.append(measure(moved))
+    slope = (ends[1] - ends[0]) / (2 * step)
+    np.testing.assert_allclose((measure.gradient(mesh) * move).sum(axis=(1, 2)), slope, rtol=1e-4, atol=1e-3)
+
+
+# all of them
+
+
+@pytest.mark.parametrize("measure", [Wing(), Stations(), Bwb()], ids=["wing", "stations", "bwb"])
+def test_conformance(measure):
+    check_measure(measure)
+
+
+def test_they_come_in_by_the_front_door():
+    plugins = Plugins.load()
+    assert [plugins.make("measure", name) for name in ("wing", "stations", "bwb")] == [Wing(), Stations(), Bwb()]
+
+
+@pytest.mark.parametrize("kind", [Wing, Stations, Bwb])
+def test_what_is_no_wing(kind):
+    with pytest.raises(EmptyMesh):
+        kind()(trimesh.Trimesh())
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 1, 2]], process=False)
+    with pytest.raises(MeasureError, match="extends along y, got a flat mesh"):
+        kind()(flat)
+    with pytest.raises(InputError, match="model: expected 'half', 'whole' or ''"):
+        kind(model="left")
+
+
+@pytest.mark.parametrize("mesh", [rectangle(), trimesh.creation.icosphere(3), example_wing().convex_hull])
+def test_what_has_no_three_panels(mesh):
+    with pytest.raises(MeasureError, match="bwb: expected"):
+        Bwb()(mesh)
+
+
+def test_inward_faces_are_refused():
+    mesh = bwb_mesh(MIDDLE, chordwise=16, spanwise=20)
+    mesh.invert()
+    with pytest.raises(MeasureError, match="turn the faces round"):
+        Bwb(model="half")(mesh)

@@ -1,0 +1,260 @@
+"""Measures and models that were learned: fitted through their plugin, kept in a file, read back, used by a study."""
+
+import importlib
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import trimesh
+
+import lampopt
+from lampopt import Exemplars, Parameter, Spec, lamp
+from lampopt.errors import InputError, MeasureError, PluginError
+from lampopt.plugins import Plugins
+from lampopt.protocols import Gradient, Interval, State
+from lampopt.testing import shapes
+from lampopt.types import Bank
+
+SIZES = np.random.default_rng(3).uniform([0.8, 0.3, 0.2], [1.6, 0.6, 0.5], (12, 3))
+
+
+def boxes(count=12, **changes):
+    """Boxes whose parameter `change` is their length in mm beyond 1 m, and whose label is their volume in litres."""
+    sizes = SIZES[:count]
+    known = {
+        "parameters": np.column_stack([1000 * (sizes[:, 0] - 1), sizes[:, 1], np.full(count, 7.0)]),
+        "space": (Parameter("change", "mm"), Parameter("width", "m"), Parameter("idle", "m")),
+        "meshes": [shapes.box(size) for size in sizes],
+        "names": tuple(f"box_{i}" for i in range(count)),
+        "labels": 1000 * sizes.prod(1)[:, None],
+        "label_space": (Parameter("litres", "l"),),
+        "unit": "m",
+    }
+    return Exemplars(**{**known, **changes})
+
+
+def test_a_straight_line_is_found_exactly_with_its_errors():
+    found = lampopt.fit_surrogate(boxes(), Spec("calibrated", by="extents.length"), ["change"])
+    assert (found.names, found.units) == (("change",), ("mm",))
+    np.testing.assert_allclose(found.lines, [[-1000.0, 1000.0]])
+    np.testing.assert_allclose(found(shapes.box((1.3, 0.4, 0.4))), [300.0])
+    np.testing.assert_allclose(found.r2, [1.0])
+    assert found.mean_absolute_error[0] < 1e-9
+
+
+def test_the_error_by_leaving_one_out_is_that_of_fits_without_it():
+    """The hat matrix's short cut against fitting anew without each exemplar."""
+    given = boxes()
+    found = lampopt.fit_surrogate(given, Spec("calibrated", by="extents.length,extents.width"), ["litres"])
+    for i in range(len(given)):
+        rest = [k for k in range(len(given)) if k != i]
+        design = np.column_stack([np.ones(len(rest)), SIZES[rest, :2]])
+        line = np.linalg.lstsq(design, given.labels[rest, 0], rcond=None)[0]
+        assert found.left_out[i, 0] == pytest.approx(given.labels[i, 0] - [1, *SIZES[i, :2]] @ line)
+    errors = np.abs(found.left_out[:, 0])
+    assert found.mean_absolute_error[0] == pytest.approx(errors.mean())
+    spread = ((given.labels[:, 0] - given.labels.mean()) ** 2).sum()
+    assert found.r2[0] == pytest.approx(1 - (errors**2).sum() / spread)
+    said = {"r2": found.r2[0], "mean_absolute_error": found.mean_absolute_error[0]}
+    assert found.cross_validated == {"litres": said}
+
+
+def test_the_interval_is_the_conformal_quantile():
+    found = lampopt.fit_surrogate(boxes(), Spec("calibrated", by="extents.length"), ["litres"])
+    assert isinstance(found, Interval)
+    mesh = shapes.box((1.2, 0.4, 0.4))
+    errors = np.sort(np.abs(found.left_out[:, 0]))
+    for level, place in ((0.5, 7), (0.9, 12), (0.99, 12)):  # the ceil(level * 13)-th of 12, at most the last
+        np.testing.assert_allclose(
+            found.interval(mesh, level)[0], found(mesh)[0] + errors[place - 1] * np.array([-1, 1])
+        )
+    assert not found.outside(mesh)
+    spread = np.ptp(SIZES[:, 0])
+    assert not found.outside(shapes.box((SIZES[:, 0].max() + 0.09 * spread, 0.4, 0.4)))
+    assert found.outside(shapes.box((SIZES[:, 0].max() + 0.11 * spread, 0.4, 0.4)))
+
+
+def test_the_gradient_is_the_lines():
+    found = lampopt.fit_surrogate(boxes(), Spec("calibrated", by="volume.volume"), ["litres"])
+    assert isinstance(found, Gradient)
+    mesh, step = shapes.box((1.1, 0.4, 0.3)), 1e-6
+    direction = np.random.default_rng(0).normal(size=mesh.vertices.shape)
+    ends = []
+    for sign in (-1, 1):
+        moved = mesh.copy()
+        moved.vertices = mesh.vertices + sign * step * direction
+        ends.append(found(moved)[0])
+    slope = (ends[1] - ends[0]) / (2 * step)
+    assert (found.gradient(mesh)[0] * direction).sum() == pytest.approx(slope, rel=1e-6)
+
+
+def test_labels_that_are_not_known_do_not_count():
+    labels = np.array(boxes().labels)
+    labels[:4] = np.nan
+    found = lampopt.fit_surrogate(boxes(labels=labels), Spec("calibrated", by="extents.length"), ["change", "litres"])
+    assert np.isnan(found.left_out[:4, 1]).all() and np.isfinite(found.left_out[:, 0]).all()
+    without = lampopt.fit_surrogate(boxes(labels=labels), Spec("calibrated", by="extents.length"), ["litres"])
+    np.testing.assert_allclose(found.lines[1], without.lines[0])
+    assert np.isfinite(found.r2).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "names", "error", "message"),
+    [
+        ({"by": "extents.lenght"}, ["change"], InputError, "extents.length"),
+        ({"by": ""}, ["change"], PluginError, "expected addresses"),
+        ({"by": "extents.length,extents.length"}, ["change"], PluginError, "each once"),
+        ({"by": "genus.genus"}, ["change"], InputError, "genus.genus: the same on all exemplars"),
+        ({"by": "plate.hole_x"}, ["change"], MeasureError, "mesh 0: plate"),
+        (
+            {"by": "extents.length"},
+            ["chance"],
+            InputError,
+            "chance: not among the parameters and labels, which are",
+        ),
+        ({"by": "extents.length"}, ["change", "change"], InputError, "each once"),
+        ({"by": "extents.length"}, "change", InputError, "expected a list of names"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_said(options, names, error, message):
+    with pytest.raises(error, match=message):
+        lampopt.fit_surrogate(boxes(), Spec("calibrated", **options), names)
+
+
+def test_too_few_exemplars_are_said():
+    with pytest.raises(InputError, match="at least 3 exemplars with a value, got 2"):
+        lampopt.fit_surrogate(boxes(2), Spec("calibrated", by="extents.length"), ["change"])
+
+
+def test_by_default_all_that_varies_is_learned_and_progress_is_told():
+    told = []
+    found = lampopt.fit_surrogate(
+        boxes(), Spec("calibrated", by="extents.length"), progress=lambda done, message="": told.append((done, message))
+    )
+    assert found.names == ("change", "width", "litres")  # `idle` has no spread
+    assert told[0] == (pytest.approx(1 / 12), "mesh 1 of 12") and told[-1] == (1.0, "mesh 12 of 12")
+
+
+def test_a_measure_is_read_back_bit_for_bit_and_goes_by_the_name_learned(tmp_path):
+    file = tmp_path / "length.measure"
+    found = lampopt.fit_surrogate(boxes(), Spec("calibrated", by="extents.length"), ["change", "litres"], store=file)
+    mesh = shapes.box((1.23, 0.4, 0.4))
+    for again in (lampopt.load_measure(file), Plugins.load().make("measure", Spec("learned", file=str(file)))):
+        assert (again.names, again.units) == (found.names, found.units)
+        assert np.array_equal(again(mesh), found(mesh))
+        assert np.array_equal(again.interval(mesh, 0.9), found.interval(mesh, 0.9))
+    assert lampopt.measure(Spec("learned", file=str(file)), mesh) == dict(zip(found.names, found(mesh), strict=True))
+
+
+def test_a_model_is_read_back_and_is_no_measure(tmp_path):
+    file = tmp_path / "litres.model"
+    found = lampopt.fit_model(boxes(), "linear", ["litres"], store=file)
+    assert (found.names, found.units, found.inputs) == (("litres",), ("l",), ("change", "width"))
+    given = np.array([[100.0, 0.4], [200.0, 0.5]])
+    assert np.array_equal(lampopt.load_model(file)(given), found(given))
+    with pytest.raises(InputError, match="expected a fitted measure, got a file of 'model'"):
+        lampopt.load_measure(file)
+
+
+def test_a_bank_teaches_a_model_too(tmp_path):
+    bank = lampopt.build_bank(boxes(), lampopt.Spec("gridsdf", size=17), store=tmp_path / "boxes.lamp")
+    assert isinstance(bank, Bank)
+    given = np.array([[100.0, 0.4]])
+    assert np.array_equal(lampopt.fit_model(bank, "linear")(given), lampopt.fit_model(boxes(), "linear")(given))
+    with pytest.raises(InputError, match="drag: not among the labels, which are litres"):
+        lampopt.fit_model(bank, "linear", ["drag"])
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A surrogate whose measure is of another package: this test's own."""
+
+    kind: str = "foreign"
+
+    def fit(self, meshes, values, names, units, *, seed):
+        if self.kind == "foreign":
+            inner = importlib.import_module("lampopt_measure.calibrated").Calibrated()
+            return inner.fit(meshes, values, names, units, seed=seed)
+        return Stateless(tuple(names) if self.kind == "stateless" else ("other",), tuple(units))
+
+
+@dataclass(frozen=True)
+class Stateless:
+    names: tuple
+    units: tuple
+
+    def __call__(self, mesh):
+        return np.array([mesh.extents[0]])
+
+
+class Offering:
+    @lampopt.hookimpl
+    def lampopt_surrogates(self):
+        return {"elsewhere": Elsewhere}
+
+
+PLUGINS = Plugins.load(extra=[("offering", Offering())])
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("foreign", "expected a class of its own package"),
+        ("stateless", "has no state"),
+        ("misnamed", r"expected what tells \('change',\)"),
+    ],
+)
+def test_what_could_not_be_read_back_is_refused(tmp_path, kind, message):
+    with pytest.raises(PluginError, match=message):
+        lampopt.fit_surrogate(
+            boxes(), Spec("elsewhere", kind=kind), ["change"], store=tmp_path / "x.measure", plugins=PLUGINS
+        )
+    assert not list(tmp_path.iterdir())
+
+
+def altered(file, **changes):
+    arrays, record = lamp.read(file)
+    record = {k: v for k, v in record.items() if k != "hashes"} | changes
+    lamp.write(file, {name: np.array(a) for name, a in arrays.items()}, record)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"class": "os:system"}, InputError, "says 'os', which is not of"),
+        ({"class": "lampopt_measure.calibrated:Calibrated"}, PluginError, "cannot read it"),
+        ({"class": "lampopt_measure.nothing:Calibrated"}, PluginError, "cannot read it"),
+        ({"class": 5}, InputError, "does not say what fitted it"),
+        ({"by": {"name": "gone", "options": {}}}, PluginError, "surrogate 'gone' is not installed"),
+        ({"by": "calibrated"}, InputError, "does not say what fitted it"),
+        ({"schema": 2}, InputError, "schema 2, this lampopt reads 1"),
+        ({"format": "lampopt bank"}, InputError, "expected a fitted measure, got a file of 'lampopt bank'"),
+    ],
+)
+def test_files_that_are_something_else_are_refused(tmp_path, changes, error, message):
+    file = tmp_path / "length.measure"
+    lampopt.fit_surrogate(boxes(), Spec("calibrated", by="extents.length"), ["change"], store=file)
+    altered(file, **changes)
+    with pytest.raises(error, match=message):
+        lampopt.load_measure(file)
+
+
+def test_a_damaged_file_is_refused(tmp_path):
+    file = tmp_path / "length.measure"
+    lampopt.fit_surrogate(boxes(), Spec("calibrated", by="extents.length"), ["change"], store=file)
+    whole = bytearray(file.read_bytes())
+    whole[-3] ^= 1
+    file.write_bytes(whole)
+    with pytest.raises(InputError, match="the file is damaged"):
+        lampopt.load_measure(file)
+    with pytest.raises(InputError, match="nowhere"):
+        lampopt.load_measure(tmp_path / "nowhere.measure")
+
+
+def test_it_is_its_state(tmp_path):
+    found = lampopt.fit_surrogate(boxes(), Spec("calibrated", by="extents.length"), ["change"])
+    assert isinstance(found, State)
+    again = type(found).from_state(found.state())
+    assert again.addresses == ("extents.length",)
+    with pytest.raises(MeasureError, match="got none"):
+        again(trimesh.Trimesh())

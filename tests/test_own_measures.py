@@ -1,0 +1,174 @@
+"""Measures that a study is given as objects or with options: reported, recorded, told apart, sent to workers."""
+
+import multiprocessing
+import sys
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampopt
+from lampopt import Exemplars, Parameter, Spec, Study
+from lampopt.errors import MeasureError, StudyError
+from lampopt.testing import shapes
+
+HERE = Path(__file__).parent
+sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
+import small  # noqa: E402
+import toys  # noqa: E402
+
+TARGET = {"length": 2.9, "width": 1.2}
+
+
+@dataclass(frozen=True)
+class Diagonal:
+    """The bounding box's, times something."""
+
+    times: float = 1.0
+    names = ("diagonal",)
+    units = ("L",)
+
+    def __call__(self, mesh):
+        return np.array([self.times * np.linalg.norm(mesh.extents)])
+
+
+@dataclass(frozen=True)
+class Unsure:
+    """Says how sure it is; beyond 2 it knows nothing."""
+
+    names = ("guess", "other")
+    units = ("L", "")
+
+    def __call__(self, mesh):
+        return np.array([mesh.extents[0], 1.0])
+
+    def interval(self, mesh, level):
+        return self(mesh)[:, None] + np.array([[-level, level], [0.0, 0.0]])
+
+    def outside(self, mesh):
+        return bool(mesh.extents[0] > 2.95)
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return small.bank(small.boxes())
+
+
+def run(bank, measures, folder=None, targets=TARGET):
+    return lampopt.run(Study(bank, targets, measures=measures), folder, report=False, plugins=small.plugins())
+
+
+def test_an_object_is_measured_under_the_name_it_is_given(bank):
+    result = run(bank, {"d": Diagonal(), "twice": Diagonal(2.0), "box": "extents"})
+    wanted = np.linalg.norm([2.9, 1.2, 0.8])
+    assert result.check("d.diagonal").value == pytest.approx(wanted, rel=1e-6)
+    assert result.check("twice.diagonal").value == pytest.approx(2 * wanted, rel=1e-6)
+    assert result.check("box.length").value == pytest.approx(2.9, rel=1e-6)
+    assert result.check("d.diagonal").unit == "m"
+    assert lampopt.measure(Diagonal(), shapes.box((3, 4, 12))) == {"diagonal": pytest.approx(13)}
+    with pytest.raises(MeasureError, match="measure 'Diagonal': expected a mesh with faces"):
+        lampopt.measure(Diagonal(), type(shapes.box((1, 1, 1)))())
+
+
+def test_one_that_is_unsure_says_so(bank):
+    result = run(bank, {"model": Unsure()})
+    assert result.check("model.guess").note == "90% interval 2 to 3.8"
+    assert result.check("model.other").note == "90% interval 1 to 1"
+    assert result.check("model.guess").sense == "info"
+    farther = run(bank, {"model": Unsure()}, targets={"length": 3.0, "width": 1.2})
+    assert farther.check("model.guess").note.endswith("; outside what it was made for")
+
+
+def test_a_learned_one_is_used_from_its_file_and_tells_when_it_changed(bank, tmp_path):
+    file = tmp_path / "length.measure"
+    lengths = np.linspace(2.0, 3.2, 9)
+
+    def learn(change):
+        known = Exemplars(
+            parameters=(lengths + change)[:, None],
+            space=(Parameter("length", "m"),),
+            meshes=[shapes.box((length, 1.0, 0.8)) for length in lengths],
+            names=tuple(f"b{i}" for i in range(9)),
+        )
+        lampopt.fit_surrogate(known, Spec("calibrated", by="extents.length"), store=file)
+
+    learn(0.0)
+    chosen = {"drawn": Spec("learned", file=str(file))}
+    first = run(bank, chosen, tmp_path / "run").check("drawn.length")
+    assert first.value == pytest.approx(2.9, rel=1e-6)
+    assert first.note.startswith("90% interval")
+    learn(5.0)  # the same name, another measure: what is recorded must not be taken for its answer
+    assert run(bank, chosen, tmp_path / "run").check("drawn.length").value == pytest.approx(7.9, rel=1e-6)
+
+
+def test_another_object_is_another_design(bank, tmp_path):
+    for times in (1.0, 2.0, 1.0):
+        small.CALLS.clear()
+        result = run(bank, {"d": Diagonal(times)}, tmp_path / "run")
+        assert result.check("d.diagonal").value == pytest.approx(times * np.linalg.norm([2.9, 1.2, 0.8]), rel=1e-6)
+    assert small.CALLS["decode"] == 0  # the first is read back
+
+
+def test_a_run_with_an_object_is_read_back_but_not_run_from_its_file(bank, tmp_path):
+    run(bank, {"d": Diagonal(), "size": "size"}, tmp_path / "run")
+    (found,) = lampopt.results(tmp_path / "run", plugins=small.plugins())
+    assert found.check("d.diagonal").value == pytest.approx(np.linalg.norm([2.9, 1.2, 0.8]), rel=1e-6)
+    assert lampopt.report(tmp_path / "run", plugins=small.plugins()).exists()
+    study = Study.read(tmp_path / "run" / "study.toml")
+    with pytest.raises(StudyError, match=r"d: was given as a Python object, .*test_own_measures\.Diagonal"):
+        lampopt.run(study, plugins=small.plugins())
+
+
+def test_toml_holds_names_and_options(tmp_path):
+    study = Study("b.lamp", TARGET, measures={"a": "extents", "b": Spec("learned", file="x.measure")})
+    again = Study.from_toml(study.to_toml())
+    assert dict(again.measures) == {"a": Spec("extents"), "b": Spec("learned", file="x.measure")}
+    assert 'measures = [\n    "extents",\n]' in Study("b.lamp", TARGET, measures=("extents",)).to_toml()
+    written = 'bank = "b.lamp"\n[measures]\nsize = "extents"\ndrag = { name = "learned", file = "d.measure" }\n'
+    assert dict(Study.from_toml(written).measures) == {
+        "size": Spec("extents"),
+        "drag": Spec("learned", file="d.measure"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("measures", "message"),
+    [
+        ({"d": Diagonal}, "measures: d: expected the name of a measure, a Spec or a measure"),
+        ({"d": 5}, "measures: d: expected the name of a measure"),
+        ({"a.b": "extents"}, "expected a name without dots"),
+        ({5: "extents"}, "expected a table of names"),
+        (Diagonal(), "expected a list of names"),
+    ],
+)
+def test_what_is_no_measure_is_refused(measures, message):
+    with pytest.raises(StudyError, match=message):
+        Study("b.lamp", TARGET, measures=measures)
+
+
+def sweep(bank, measures, folder=None, executor=None):
+    study = Study(bank, {"width": 1.2}, measures=measures)
+    grid = {"length": [2.3, 2.5, 2.7]}
+    found = lampopt.sweep(study, grid, folder, executor=executor, report=False, plugins=small.plugins())
+    return [r.check("size.volume").value for r in found]
+
+
+def test_workers_measure_with_it_too(bank, tmp_path):
+    wanted = sweep(bank, {"size": toys.Size()})
+    with ThreadPoolExecutor(2) as executor:
+        assert sweep(bank, {"size": toys.Size()}, executor=executor) == wanted
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as executor:
+        assert sweep(bank, {"size": toys.Size()}, tmp_path / "run", executor) == wanted
+
+
+def test_one_that_cannot_be_sent_is_said(bank, tmp_path):
+    class Local(toys.Size):
+        pass
+
+    with (
+        ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as executor,
+        pytest.raises(StudyError, match="the measures size cannot be sent to other processes"),
+    ):
+        sweep(bank, {"size": Local()}, tmp_path / "run", executor)
