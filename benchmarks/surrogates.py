@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -163,6 +164,7 @@ def compared(seen: dict[str, Array], train: Array, seen_test: dict[str, Array], 
     """Mean and least R² over the parameters, for both kinds of features by three regressions of scikit-learn's."""
     from sklearn.cross_decomposition import PLSRegression
     from sklearn.decomposition import PCA
+    from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
     from sklearn.linear_model import RidgeCV
@@ -184,7 +186,11 @@ def compared(seen: dict[str, Array], train: Array, seen_test: dict[str, Array], 
         for regression, (rows, model) in regressions.items():
             if regression.startswith("Gaussian") and len(train) < FEW:
                 continue
-            scores = r2(test, model.fit(seen[name][rows], train[rows]).predict(seen_test[name]))
+            with warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore", ConvergenceWarning
+                )  # a kernel at the end of its range is judged as it is
+                scores = r2(test, model.fit(seen[name][rows], train[rows]).predict(seen_test[name]))
             table[f"{name}'s features, {regression}"] = {"mean": round(float(np.mean(scores)), 4), "least": min(scores)}
     return table
 

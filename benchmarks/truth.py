@@ -64,9 +64,11 @@ def of_plate(p: Values, mesh: Trimesh) -> Values:
 
 
 def shadow(mesh: Trimesh, along: int) -> float:
-    """Area of the silhouette along an axis: every projected triangle, united by another library (shapely)."""
+    """Area of a closed mesh's silhouette along an axis: the faces that look that way, united by another library."""
     flat = np.delete(np.asarray(mesh.vertices), along, axis=1)[mesh.faces]
-    return float(shapely.union_all(shapely.polygons(flat), grid_size=1e-3).area)
+    p, q = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    seen = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] > 0
+    return float(shapely.union_all(shapely.polygons(flat[seen]), grid_size=1e-3).area)
 
 
 def of_car(p: Values, mesh: Trimesh) -> Values:

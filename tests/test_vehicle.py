@@ -193,7 +193,7 @@ def test_which_way_it_points_has_to_be_told():
 @pytest.mark.parametrize(
     ("name", "forward", "expected"),
     [
-        # what a ruler finds on pictures of these bodies [m]; they are wrapped, tyres and arches are one
+        # what was found when the measure was written [m], held against change; the pickup was looked at on a picture
         ("Hybrid", "-x", {"wheelbase": 2.76, "track_front": 1.48, "radius_front": 0.33, "radius_rear": 0.33}),
         ("hatchback", "-x", {"wheelbase": 2.52, "track_front": 1.56, "radius_front": 0.32, "radius_rear": 0.32}),
         ("pickup", "x", {"wheelbase": 3.33, "track_front": 1.73, "radius_front": 0.40, "radius_rear": 0.40}),

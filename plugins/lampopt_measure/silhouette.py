@@ -71,7 +71,9 @@ def _silhouette(shape: Shape) -> tuple[list[Array], float]:
         raise MeasureError("frontal-area: expected faces that can be seen from the front, got none")
     size = float(np.ptp(flat, axis=0).max()) / SCALE
     middle = flat.mean(axis=0)
-    polygons = CrossSection(list((flat[faces] - middle) / size), FillRule.Positive).to_polygons()
+    # About a point, the loops that the edges draw wind as often as faces cover it: their union is that of all faces.
+    loops = [(flat[loop] - middle) / size for loop in _loops(_directed(faces, len(flat)))]
+    polygons = CrossSection(loops, FillRule.Positive).to_polygons()
     return [np.asarray(polygon, float) + middle / size for polygon in polygons if len(polygon) > 2], size
 
 
@@ -130,8 +132,31 @@ def _by_edges(shape: Shape, start: Array, end: Array) -> Array:
 
 def _drawing(faces: Array, vertices: int) -> Array:
     """(E, 2) the edges at which the faces that are seen fold over or end."""
+    return np.unique(np.sort(_directed(faces, vertices), axis=1), axis=0)
+
+
+def _directed(faces: Array, vertices: int) -> Array:
+    """(E, 2) the edges at which the faces that are seen fold over or end, as these run, none that cancels another."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     low, high = ends.min(axis=1), ends.max(axis=1)
     keys, place = np.unique(low * vertices + high, return_inverse=True)
-    net = np.bincount(place, np.where(ends[:, 0] == low, 1, -1))
-    return np.asarray(np.stack([keys // vertices, keys % vertices], axis=1)[net != 0])
+    net = np.bincount(place, np.where(ends[:, 0] == low, 1, -1)).astype(int)
+    edges = np.stack([keys // vertices, keys % vertices], axis=1)
+    edges = np.where((net < 0)[:, None], edges[:, ::-1], edges)
+    return np.repeat(edges, np.abs(net), axis=0)
+
+
+def _loops(edges: Array) -> list[Array]:
+    """Closed loops of vertices through directed edges (E, 2), of which as many end in a vertex as begin there."""
+    leaving, arriving = np.argsort(edges[:, 0], kind="stable"), np.argsort(edges[:, 1], kind="stable")
+    following = np.empty(len(edges), np.int64)
+    following[arriving] = leaving
+    after, left, loops = following.tolist(), set(range(len(edges))), []
+    while left:
+        edge = first = left.pop()
+        loop = [first]
+        while (edge := after[edge]) != first:
+            left.remove(edge)
+            loop.append(edge)
+        loops.append(edges[loop, 0])
+    return loops
