@@ -75,6 +75,17 @@ def test_morph(tmp_path):
     assert trimesh.load_mesh(tmp_path / "out" / "new.stl").extents[2] == pytest.approx(1.26 + 0.08, abs=0.03)
 
 
+def test_measure_and_learn(tmp_path):
+    said = run("05_measure_and_learn.py", tmp_path, "out")
+    assert "wheels {'wheelbase': 2720.0" in said
+    assert "windscreen {'angle': 32.0}" in said
+    assert "roof up [1." in said  # the height of the roof rises as the roof does
+    assert (tmp_path / "out" / "drag.measure").exists()
+    (line,) = [line for line in said.splitlines() if line.startswith("model")]
+    predicted, true = line.removeprefix("model [[").split("]] true [[")
+    assert float(predicted) == pytest.approx(float(true.removesuffix("]]")), abs=0.005)
+
+
 def test_every_example_is_tested():
     tests = Path(__file__).read_text(encoding="utf-8")
     scripts = {path.name for path in EXAMPLES.glob("*.py")} - {"picture.py"}  # imported by demo.py
