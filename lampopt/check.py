@@ -216,11 +216,12 @@ class _Measured:
         self._values: dict[str, Array | MeasureError | EmptyMesh] = {}
 
     def __call__(self, address: str, length: str, unit: str) -> float:
-        _, measure, place = resolve_address(address, self._plugins)
-        name = address.partition(".")[0]
+        name, measure, place = resolve_address(address, self._plugins)
         if name not in self._values:
             try:
                 self._values[name] = values_of(name, measure, self._mesh)
+                if isinstance(measure, Interval) and measure.outside(self._mesh):
+                    raise MeasureError("this shape is outside what it was made for, so that its value tells nothing")
             except (MeasureError, EmptyMesh) as error:
                 self._values[name] = error
         values = self._values[name]

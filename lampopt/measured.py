@@ -1,4 +1,7 @@
-"""Parameters that can be measured: addresses such as `extents.length`, and their values on the exemplars."""
+"""Parameters that can be measured: addresses such as `extents.length`, and their values on the exemplars.
+
+A parameter that no measure tells directly may be told by a learned one, `ramp.measure:ramp` (paper, section 4).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.errors import InputError, MeasureError, PluginError
+from lampopt.fitted import load_measure
 from lampopt.plugins import Plugins
 from lampopt.protocols import Measure
 from lampopt.types import Array, Exemplars
@@ -50,20 +54,19 @@ def measure_each(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: 
     index = {q.name: i for i, q in enumerate(exemplars.space)}
     if unknown := sorted(set(measured_by) - set(index)):
         raise InputError(f"measured: {unknown} are no parameters; known are {list(index)}")
-    asked = {p: resolve_address(address, plugins) for p, address in measured_by.items()}
+    asked = [resolve_address(address, plugins) for address in measured_by.values()]
     values = np.empty((len(exemplars), len(asked)))
     for row, name in enumerate(exemplars.names):
         mesh = exemplars.meshes[row]  # by index: a loader's IndexError would end an iteration
         known: dict[str, Array] = {}
-        for column, (address, measure, place) in enumerate(asked.values()):
-            key = address.partition(".")[0]
+        for column, (address, (key, measure, place)) in enumerate(zip(measured_by.values(), asked, strict=True)):
             try:
                 if key not in known:
                     known[key] = values_of(key, measure, mesh)
             except MeasureError as error:
                 raise InputError(f"measured: {address!r} cannot be read off exemplar {name!r}: {error}") from error
             values[row, column] = known[key][place]
-    for column, (parameter, (address, measure, place)) in enumerate(asked.items()):
+    for column, ((parameter, address), (_, measure, place)) in enumerate(zip(measured_by.items(), asked, strict=True)):
         q = exemplars.space[index[parameter]]
         unit = filled(measure.units[place], exemplars.unit)
         values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
@@ -139,17 +142,26 @@ def following_ratio(parameters: Array, index: int, values: Array) -> float:
     return float(alone @ (values - values.mean()) / (alone @ own) / spread[index])
 
 
+def split_address(address: str) -> tuple[str, str]:
+    """`measure.value` in its two parts; `file:value` where a learned measure is meant, by the file that holds it."""
+    measure, sign, value = address.rpartition(":") if ":" in address else address.partition(".")
+    if not (measure and sign and value):
+        raise InputError(f"measured value {address!r}: expected 'measure.value', or 'file:value' of a learned one")
+    return measure, value
+
+
 def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:
-    """`measure.value` as (address, the measure, the value's place in it).
+    """What `address` names: the measure's name or file, the measure, the value's place in it.
 
     Raises
     ------
     InputError
-        If the measure has no such value: its values are listed.
+        If there is no such file, or the measure has no such value: its values are listed.
     """
-    name, dot, value = address.partition(".")
-    measure: Measure = plugins.make("measure", name)
-    if not dot or value not in measure.names:
-        known = ", ".join(f"{name}.{v}" for v in measure.names)
-        raise InputError(f"measured value {address!r}: expected 'measure.value', one of {known}")
-    return address, measure, tuple(measure.names).index(value)
+    name, value = split_address(address)
+    learned = ":" in address
+    measure: Measure = load_measure(name, plugins=plugins) if learned else plugins.make("measure", name)
+    if value not in measure.names:
+        known = ", ".join(f"{name}{':' if learned else '.'}{v}" for v in measure.names)
+        raise InputError(f"measured value {address!r}: expected one of {known}")
+    return name, measure, tuple(measure.names).index(value)

@@ -19,6 +19,7 @@ from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, me
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
 from lampopt.fitted import described, digest_of_state
+from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, Measure, Solver, State
@@ -169,7 +170,7 @@ class Task:
                     name: _told(choice, self.measures[name], self.plugins)
                     for name, choice in study.to_be_measured().items()
                 },
-                "drift": {address: offer("measure", address.partition(".")[0]) for address in drift},
+                "drift": {address: self._drift(address) for address in drift},
                 "checks": {name: offer("check", name) for name in study.checks},
                 "format": study.format,
                 "level": study.level,
@@ -177,6 +178,13 @@ class Task:
                 "seed": study.seed,
             }
         )
+
+    def _drift(self, address: str) -> str:
+        """What tells the measure behind `address` from others."""
+        name, measure, _ = resolve_address(address, self.plugins)
+        if ":" in address and isinstance(measure, State):
+            return digest_of_state(measure.state())
+        return str(self.plugins.get("measure", name))
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:

@@ -71,7 +71,7 @@ CALLS = []
 class Mine:
     @hookimpl
     def lampopt_measures(self):
-        return {"hole": Hole, "calls": Calls}
+        return {"gone": Hole, "calls": Calls}
 
     @hookimpl
     def lampopt_decoders(self):
@@ -523,10 +523,10 @@ def test_a_unit_that_cannot_be_brought_over_is_an_error():
 
 
 def test_a_feature_that_is_gone_is_a_failed_check():
-    check = drift(measuring("hole.radius", [1.0, 1.5, 2.0]), [1.0, 0, 0], shapes.box())
+    check = drift(measuring("gone.radius", [1.0, 1.5, 2.0]), [1.0, 0, 0], shapes.box())
     assert np.isnan(check.value)
     assert not check.passed
-    assert check.note == "hole.radius: no hole is there"
+    assert check.note == "gone.radius: no hole is there"
 
 
 def test_a_measure_that_says_nan_does_not_pass():
@@ -558,7 +558,7 @@ def made(*names):
 
 def test_wanted_measures_inform_and_judge_nothing():
     bank = plain_bank(frame=Frame(1.0, np.zeros(3), "mm"))
-    found = measure_checks(bank, shapes.box((1, 2, 3)), made("extents", "volume", "hole"))
+    found = measure_checks(bank, shapes.box((1, 2, 3)), made("extents", "volume", "gone"))
     assert [(c.name, c.value, c.unit) for c in found[:4]] == [
         ("extents.length", 1, "mm"), ("extents.width", 2, "mm"), ("extents.height", 3, "mm"),
         ("volume.volume", pytest.approx(6), "mm^3"),

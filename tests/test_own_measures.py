@@ -11,7 +11,7 @@ import pytest
 
 import lampopt
 from lampopt import Exemplars, Parameter, Spec, Study
-from lampopt.errors import MeasureError, StudyError
+from lampopt.errors import InputError, MeasureError, StudyError
 from lampopt.testing import shapes
 
 HERE = Path(__file__).parent
@@ -172,3 +172,47 @@ def test_one_that_cannot_be_sent_is_said(bank, tmp_path):
         pytest.raises(StudyError, match="the measures size cannot be sent to other processes"),
     ):
         sweep(bank, {"size": Local()}, tmp_path / "run", executor)
+
+
+def told_by_file(tmp_path, change=0.0):
+    """A bank whose parameter `length` is told by a learned measure, and that measure's file."""
+    file = tmp_path / "length.measure"
+    lengths = np.linspace(1.9, 3.1, 9)
+    known = Exemplars(
+        parameters=(lengths + change)[:, None],
+        space=(Parameter("length", "m"),),
+        meshes=[shapes.box((length, 1.0, 0.8)) for length in lengths],
+        names=tuple(f"b{i}" for i in range(9)),
+    )
+    lampopt.fit_surrogate(known, Spec("calibrated", by="extents.length"), store=file)
+    return small.bank(small.boxes(measured={"length": f"{file}:length"})), file
+
+
+def test_a_parameter_is_told_by_a_learned_measure(tmp_path):
+    bank, file = told_by_file(tmp_path)
+    assert bank.measured_by == {"length": f"{file}:length"}
+    result = run(bank, ())
+    assert result.check("drift.length").value == pytest.approx(0, abs=1e-6)
+    assert result.accepted
+    beyond = run(bank, (), targets={"length": 3.5, "width": 1.2}).check("drift.length")  # learned up to 3.1
+    assert not beyond.passed
+    assert "outside what it was made for" in beyond.note
+    file.unlink()
+    with pytest.raises(InputError, match="length.measure"):
+        run(bank, ())
+
+
+def test_another_learned_measure_is_another_design(tmp_path):
+    bank, _ = told_by_file(tmp_path)
+    first = run(bank, (), tmp_path / "run").check("drift.length")
+    told_by_file(tmp_path, change=1.0)
+    assert run(bank, (), tmp_path / "run").check("drift.length").value == pytest.approx(1.0, abs=1e-6)
+    assert first.passed
+
+
+def test_a_learned_address_is_said_where_it_is_wrong(tmp_path):
+    _, file = told_by_file(tmp_path)
+    with pytest.raises(InputError, match=r"expected one of .*length\.measure:length"):
+        small.bank(small.boxes(measured={"length": f"{file}:width"}))
+    with pytest.raises(InputError, match="expected 'measure.value', or 'file:value'"):
+        small.bank(small.boxes(measured={"length": ":length"}))

@@ -26,9 +26,8 @@ def measured(bank: Bank, mesh: Trimesh, plugins: Plugins) -> dict[str, float]:
     known: dict[str, Array | None] = {}
     units = {q.name: q.unit for q in bank.space}
     for parameter, address in bank.measured_by.items():
-        name = address.partition(".")[0]
         try:
-            _, measure, place = resolve_address(address, plugins)
+            name, measure, place = resolve_address(address, plugins)
             if name not in known:
                 known[name] = None
                 known[name] = values_of(name, measure, mesh)

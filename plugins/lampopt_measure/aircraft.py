@@ -10,12 +10,12 @@ import numpy as np
 from lampopt.errors import InputError, MeasureError
 from lampopt.types import Array
 
+from .aircraft_ends import Edges, edges
 from .aircraft_planform import planform
-from .aircraft_sections import MODELS, Halves, edges
+from .aircraft_sections import MODELS, Halves
 from .silhouette import FrontalArea
 
 if TYPE_CHECKING:
-    from torch import Tensor
     from trimesh import Trimesh
 
 WINDOW = 0.02  # of the half span: a sweep is taken from this far to either side of its station
@@ -76,11 +76,9 @@ class Wing:
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivatives by the vertices (4, V, 3); tips that tie share theirs. Raises EmptyMesh, MeasureError."""
         span, area, halves = self._measured(mesh)
-        twice = 2.0 / len(halves.sides)
         by_span = np.zeros((len(halves.vertices), 3))
-        for (rows, weights), sign in ((halves.high, 1.0), (halves.low, -1.0)):
-            by_span[rows, 1] += sign * twice * weights
-        by_area = twice * FROM_ABOVE.gradient(mesh)[0]
+        by_span[:, 1] = 2 * halves.across()
+        by_area = 2.0 / len(halves.sides) * FROM_ABOVE.gradient(mesh)[0]
         ratio = 2 * span / area * by_span - (span / area) ** 2 * by_area
         return np.array([by_span, by_area, ratio, by_area / span - area / span**2 * by_span])
 
@@ -141,15 +139,40 @@ class Stations:
 
     def __call__(self, mesh: Trimesh) -> Array:
         """Sweep [deg] and thickness for each station (2n,). Raises EmptyMesh, MeasureError."""
-        halves = Halves.of(mesh, self.model)
-        offsets = WINDOW * np.linspace(-1, 1, ACROSS)
-        found = edges(halves, (np.array(self._places)[:, None] + offsets).ravel())
-        shape = len(self._places), ACROSS, len(halves.sides)
-        nose, tail, thickness = (part.numpy().reshape(shape) for part in (found.nose, found.tail, found.thickness))
-        away = offsets * halves.span
-        sweep = np.degrees(np.arctan(away @ nose.mean(axis=2).T / (away @ away)))
-        relative = (thickness / (tail - nose))[:, ACROSS // 2].mean(axis=1)
-        return np.stack([sweep, relative], axis=1).ravel()
+        return self._values(self._edges(mesh))[0]
+
+    def gradient(self, mesh: Trimesh) -> Array:
+        """Derivatives by the vertices (2n, V, 3). Raises EmptyMesh, MeasureError."""
+        found = self._edges(mesh, follow=("nose", "tail", "thickness"))
+        _, by_span, by = self._values(found)
+        return found.gradient(by_span, **by)
+
+    def _edges(self, mesh: Trimesh, *, follow: tuple[str, ...] = ()) -> Edges:
+        at = np.array(self._places)[:, None] + WINDOW * np.linspace(-1, 1, ACROSS)
+        return edges(Halves.of(mesh, self.model), at.ravel(), follow=follow)
+
+    def _values(self, found: Edges) -> tuple[Array, Array, dict[str, Array]]:
+        """The values (2n,), and how they change with the half span (2n,), noses, tails, thicknesses (2n, 5n, s)."""
+        count, sides = len(self._places), found.nose.shape[1]
+        nose, tail, thickness = (
+            part.reshape(count, ACROSS, sides) for part in (found.nose, found.tail, found.thickness)
+        )
+        away = WINDOW * np.linspace(-1, 1, ACROSS)
+        fit = np.broadcast_to((away / (away**2).sum())[:, None] / sides, (ACROSS, sides))
+        slope = (fit * nose).sum(axis=(1, 2)) / found.halves.span
+        chord = (tail - nose)[:, ACROSS // 2]
+        relative = thickness[:, ACROSS // 2] / chord
+        by_slope = np.degrees(1 / (1 + slope**2))
+        by = {name: np.zeros((count, 2, count, ACROSS, sides)) for name in ("nose", "tail", "thickness")}
+        by_span = np.zeros((count, 2))
+        by_span[:, 0] = -by_slope * slope / found.halves.span
+        for k in range(count):
+            by["nose"][k, 0, k] = by_slope[k] * fit / found.halves.span
+            by["thickness"][k, 1, k, ACROSS // 2] = 1 / chord[k] / sides
+            by["nose"][k, 1, k, ACROSS // 2] = relative[k] / chord[k] / sides
+            by["tail"][k, 1, k, ACROSS // 2] = -relative[k] / chord[k] / sides
+        values = np.stack([np.degrees(np.arctan(slope)), relative.mean(axis=1)], axis=1)
+        return values.ravel(), by_span.ravel(), {k: v.reshape(2 * count, -1, sides) for k, v in by.items()}
 
     def example_mesh(self) -> Trimesh:
         """A small half aircraft."""
@@ -180,23 +203,14 @@ class Bwb:
 
     def __call__(self, mesh: Trimesh) -> Array:
         """The ten values (10,). Raises EmptyMesh; MeasureError where there are no three panels."""
-        return np.array([float(value) for value in self._values(Halves.of(mesh, self.model))])
+        return planform(Halves.of(mesh, self.model))[0]
 
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivatives by the vertices (10, V, 3); which sections count is taken as constant. Raises as a call does."""
-        import torch
-
-        halves = Halves.of(mesh, self.model)
-        vertices = torch.tensor(halves.vertices, requires_grad=True)
-        values = self._values(halves, vertices)
-        found = [torch.autograd.grad(value, vertices, retain_graph=True)[0].numpy() for value in values]
-        if not np.isfinite(found).all():
+        gradient = planform(Halves.of(mesh, self.model), derivative=True)[1]
+        if not np.isfinite(gradient).all():
             raise MeasureError("bwb: expected a smooth wing, got one whose values have no derivative by the vertices")
-        return np.array(found)
-
-    def _values(self, halves: Halves, vertices: Tensor | None = None) -> list[Tensor]:
-        found = planform(halves, vertices)
-        return [*found.widths, *found.chords, *found.sweeps]
+        return gradient
 
     def example_mesh(self) -> Trimesh:
         """A small half aircraft."""

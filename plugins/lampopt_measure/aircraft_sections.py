@@ -1,4 +1,4 @@
-"""Sections of a wing across its span, and where each one begins and ends along the wind."""
+"""An aircraft as its half span, and its sections across: the points where they cut the edges of the mesh."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from lampopt.errors import MeasureError
 from lampopt.types import Array
 
 from .basic import with_faces
-from .facets import enclosed_area, section, surface
 
 if TYPE_CHECKING:
-    from torch import Tensor
     from trimesh import Trimesh
 
 MODELS = ("", "half", "whole")
@@ -23,11 +21,6 @@ UNLIKE = 1.5  # ratio of their areas from which on a model is a half one
 TIE = 1e-9  # of the extent across: vertices nearer than this to the outermost one are a tip together
 FACING = 0.95  # cosine: faces that close a half model are turned to its plane of symmetry
 RIM = 0.01  # of the extent across: and lie nearer than this to its end
-NOSE = (0.18, 0.92)  # of the chord: where the squared thickness is fitted to find the nose
-TAIL = (0.30, 0.92)  # of the chord: where the thickness is fitted to find the tail
-FAR = 0.15  # of the chord: a nose or tail found farther from the section's own end than this is none
-NEWTON = 8  # steps to the root of a cubic that is near its start
-FEWEST = 8  # points that a section is fitted to
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,30 +56,38 @@ class Halves:
         """
         vertices, faces = np.asarray(with_faces(mesh).vertices, float), np.asarray(mesh.faces)
         low, high = _outermost(vertices, faces, -1), _outermost(vertices, faces, 1)
-        first, last = (float(vertices[end[0], 1] @ end[1]) for end in (low, high))
+        first, last = (float((vertices[rows, 1] * weights).sum()) for rows, weights in (low, high))
         if not last > first:
             raise MeasureError("expected a wing that extends along y, got a flat mesh")
-        areas = [abs(float(enclosed_area(section(mesh, "y", first + s * (last - first))))) for s in (ENDS, 1 - ENDS)]
-        if model == "whole" or (not model and max(areas) <= UNLIKE * min(areas)):
+        areas = _enclosed(vertices, faces, first + np.array([ENDS, 1 - ENDS]) * (last - first))
+        if model == "whole" or (not model and areas.max() <= UNLIKE * areas.min()):
             return cls(vertices, faces, low, high, (1, -1))
         if areas[0] >= areas[1]:
-            return cls(vertices, faces, _cap(mesh, -1) or low, high, (1,))
-        return cls(vertices, faces, low, _cap(mesh, 1) or high, (-1,))
+            return cls(vertices, faces, _cap(vertices, faces, -1) or low, high, (1,))
+        return cls(vertices, faces, low, _cap(vertices, faces, 1) or high, (-1,))
 
     @property
     def span(self) -> float:
         """From the plane of symmetry to the tip [L]."""
-        return float(self.placed()[1])
+        return float((self.across() * self.vertices[:, 1]).sum())
 
-    def placed(self, vertices: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """y of the plane of symmetry, and the half span, of `vertices` (V, 3) in place of the mesh's own ones."""
-        import torch
+    @property
+    def root(self) -> float:
+        """y of the plane of symmetry [L]."""
+        return float((self.middle() * self.vertices[:, 1]).sum())
 
-        corners = torch.from_numpy(self.vertices) if vertices is None else vertices
-        low, high = ((corners[rows, 1] * torch.from_numpy(weights)).sum() for rows, weights in (self.low, self.high))
+    def across(self) -> Array:
+        """Weights (V,) of the vertices' y in the half span."""
+        return (self._end(self.high) - self._end(self.low)) / len(self.sides)
+
+    def middle(self) -> Array:
+        """Weights (V,) of the vertices' y in the place of the plane of symmetry."""
         if len(self.sides) == 2:
-            return (low + high) / 2, (high - low) / 2
-        return (low if self.sides[0] > 0 else high), high - low
+            return (self._end(self.low) + self._end(self.high)) / 2
+        return self._end(self.low if self.sides[0] > 0 else self.high)
+
+    def _end(self, end: tuple[Array, Array]) -> Array:
+        return np.bincount(*end, len(self.vertices))
 
 
 def _outermost(vertices: Array, faces: Array, side: int) -> tuple[Array, Array]:
@@ -98,157 +99,65 @@ def _outermost(vertices: Array, faces: Array, side: int) -> tuple[Array, Array]:
     return rows, np.full(len(rows), 1 / len(rows))
 
 
-def _cap(mesh: Trimesh, side: int) -> tuple[Array, Array] | None:
+def _cap(vertices: Array, faces: Array, side: int) -> tuple[Array, Array] | None:
     """The corners of the faces that close a half model on one side, by area; None where it is not flat there."""
-    facets = surface(mesh)
-    reach = side * facets.corners[:, :, 1]
-    kept = (side * facets.normals[:, 1] > FACING) & (reach.mean(axis=1) > reach.max() - RIM * np.ptp(reach))
+    reach = side * vertices[:, 1][faces].sum(axis=1) / 3
+    near = faces[reach > reach.max() - RIM * np.ptp(reach)]
+    a, b, c = (vertices[near[:, k]] for k in range(3))
+    twice = side * np.cross(b - a, c - a)
+    size = np.linalg.norm(twice, axis=1)
+    kept = twice[:, 1] > FACING * size
     if not kept.any():
         return None
-    weights = np.bincount(facets.rows[kept, :, 0].ravel(), np.repeat(facets.size[kept], 3), len(mesh.vertices))
+    weights = np.bincount(near[kept].ravel(), np.repeat(size[kept], 3), len(vertices))
     rows = np.flatnonzero(weights)
     return rows, weights[rows] / weights.sum()
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
-    """Where n sections begin and end along x, and how thick they are: float64 tensors that may follow the vertices."""
+class Cuts:
+    """The m points where sections cut the edges of a mesh; each face cut has two, m/2 rows apart.
 
-    at: Tensor  # (n,) distance from the plane of symmetry [L]
-    nose: Tensor  # (n,) x [L]
-    tail: Tensor  # (n,) x [L]
-    thickness: Tensor  # (n,) the largest extent along z [L]
-    fitted: Array  # (n,) whether nose and tail come from the thickness; elsewhere they are the section's own ends
-
-
-def edges(halves: Halves, at: Array, vertices: Tensor | None = None) -> Edges:
-    """Nose and tail of the sections at shares `at` (n,) of the half span, on each side that there is.
-
-    Facets cut a round nose short and lose a thin tail; both are found from the thickness where there is some. It is √s
-    times a smooth function of s, the way from the nose, ahead of an airfoil's tail (Kulfan's class function). So its
-    square is fitted by a cubic, whose root is the nose, and it over √s by a straight line, whose root is the tail.
-
-    Parameters
-    ----------
-    vertices
-        (V, 3) float64, in place of the mesh's own ones: what is returned then follows them.
+    A point lies `share` of the way from the first vertex of its edge to the second one.
     """
-    import torch
 
-    corners = torch.from_numpy(halves.vertices) if vertices is None else vertices
-    root, span = halves.placed(corners)
-    away = torch.from_numpy(np.repeat(at, len(halves.sides))) * span
-    heights = root + away * torch.tensor(halves.sides * len(at), dtype=torch.float64)
-    parts = [_cut(halves, height) for height in heights.tolist()]
-    rows = np.concatenate([rows for rows, _ in parts])
-    facing = np.concatenate([facing for _, facing in parts])
-    which = np.repeat(np.arange(len(parts)), [len(rows) for rows, _ in parts])
-    a, b = corners[rows[:, 0]], corners[rows[:, 1]]
-    points = a + ((heights[which] - a[:, 1]) / (b[:, 1] - a[:, 1]))[:, None] * (b - a)
-    return _edges(points, which, facing, away)
+    points: Array  # (m, 3) [L]
+    edges: Array  # (m, 2) vertices
+    share: Array  # (m,)
+    section: Array  # (m,) which section each belongs to
+    facing: Array  # (m,) whether the face looks up or down: 1, -1; neither: 0
 
 
-def _cut(halves: Halves, height: float) -> tuple[Array, Array]:
-    """Edges (m, 2) that a section crosses, and whether their face looks up or down (m,): 1, −1; neither: 0."""
-    above = halves.vertices[:, 1] >= height
-    first, second, third = (above[halves.faces[:, k]] for k in range(3))
-    cut = halves.faces[(first != second) | (second != third)]
-    lone = (above[cut] == (above[cut].sum(axis=1) == 1)[:, None]).argmax(axis=1)
-    a, b, c = (np.take_along_axis(cut, ((lone + k) % 3)[:, None], axis=1)[:, 0] for k in range(3))
-    p, q, r = (halves.vertices[corner] for corner in (a, b, c))
-    (px, py), (qx, qy) = (q - p)[:, :2].T, (r - p)[:, :2].T
+def cuts(vertices: Array, faces: Array, heights: Array) -> Cuts:
+    """The sections at y = `heights` (n,). A vertex on one counts as above, so that no case is degenerate."""
+    order = np.argsort(heights, kind="stable")
+    across = vertices[:, 1]
+    a, b, c = (across[faces[:, k]] for k in range(3))
+    first = np.searchsorted(heights[order], np.minimum(np.minimum(a, b), c), "right")
+    count = np.searchsorted(heights[order], np.maximum(np.maximum(a, b), c), "right") - first
+    met = np.flatnonzero(count > 0)
+    count, first = count[met], first[met]
+    cut = np.repeat(met, count)
+    start = np.repeat(first - np.r_[0, np.cumsum(count)[:-1]], count)
+    section = order[start + np.arange(len(cut))]
+    corners, height = faces[cut], heights[section]
+    above = across[corners] >= height[:, None]
+    lone = (above == (above.sum(axis=1) == 1)[:, None]).argmax(axis=1)
+    rows = np.arange(len(cut))
+    p, q, r = (corners[rows, (lone + k) % 3] for k in range(3))
+    (px, py), (qx, qy) = (vertices[q] - vertices[p])[:, :2].T, (vertices[r] - vertices[p])[:, :2].T
     facing = np.sign(px * qy - py * qx)
-    return np.concatenate([np.stack([a, b], axis=1), np.stack([a, c], axis=1)]), np.r_[facing, facing]
+    edges = np.concatenate([np.stack([p, q], axis=1), np.stack([p, r], axis=1)])
+    low, high = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    share = (np.r_[height, height] - low[:, 1]) / (high[:, 1] - low[:, 1])
+    return Cuts(low + share[:, None] * (high - low), edges, share, np.r_[section, section], np.r_[facing, facing])
 
 
-def _edges(points: Tensor, which: Array, facing: Array, at: Tensor) -> Edges:
-    """Nose, tail and thickness of the n sections that the points (m, 3) belong to, as `which` (m,) says."""
-    import torch
-
-    x, count, index = points[:, 0], len(at), torch.from_numpy(which)
-    nothing = torch.full((count,), torch.inf, dtype=torch.float64)
-    first, last = nothing.scatter_reduce(0, index, x, "amin"), (-nothing).scatter_reduce(0, index, x, "amax")
-    start, chord = first, last - first
-    if not bool((chord > 0).all()):
-        raise MeasureError("expected a wing all along its span, got nothing in places")
-    share = (x - start[index]) / chord[index]
-    own, thickness = _thicknesses(share, points[:, 2], which, facing)
-    share, which, index = share[own], which[own], index[own]
-    most = (-nothing).scatter_reduce(0, index, thickness, "amax")
-    if not bool((most > 0).all()):
-        raise MeasureError(
-            "expected a wing's upper side above its lower side; turn the faces round if they point inward"
-        )
-    nose, tail = _ends(share, thickness / most[index], which, count)
-    fitted = (nose.detach().abs() < FAR) & ((tail.detach() - 1).abs() < FAR)
-    nose, tail = torch.where(fitted, start + nose * chord, first), torch.where(fitted, start + tail * chord, last)
-    return Edges(at, nose, tail, most, fitted.numpy())
-
-
-def _thicknesses(share: Tensor, z: Tensor, which: Array, facing: Array) -> tuple[Array, Tensor]:
-    """Thickness where the m points lie that have the other side under or over them, and which points these are."""
-    import torch
-
-    place = share.detach().numpy()
-    order = np.lexsort((place, which))
-    key = which + np.clip(place, 0, 1) * 0.5  # sections one after the other, each along its chord
-    own, parts = [], []
-    for sign in (1.0, -1.0):
-        mine, other = (order[facing[order] == side] for side in (sign, -sign))
-        after = np.searchsorted(key[other], key[mine])
-        fits = (after > 0) & (after < len(other))
-        mine, after = mine[fits], after[fits]
-        left, right = other[after - 1], other[after]
-        fits = (which[left] == which[mine]) & (which[right] == which[mine]) & (place[right] > place[left])
-        mine, left, right = mine[fits], left[fits], right[fits]
-        between = (share[mine] - share[left]) / (share[right] - share[left])
-        parts.append(sign * (z[mine] - z[left] - between * (z[right] - z[left])))
-        own.append(mine)
-    return np.concatenate(own), torch.cat(parts)
-
-
-def _ends(share: Tensor, thickness: Tensor, which: Array, count: int) -> tuple[Tensor, Tensor]:
-    """Nose and tail (count,) in chords from the section's first point; NaN where the thickness does not tell."""
-    import torch
-
-    place = share.detach().numpy()
-    inside = (place > NOSE[0]) & (place < NOSE[1])
-    there = share[inside]
-    weight = _taper(there, NOSE) / (torch.sqrt(there) * (1 - there))  # makes errors of the squared thickness alike
-    cubic = _fitted(there, thickness[inside] ** 2, weight, which[inside], 3, count)
-    root = torch.zeros(count, dtype=torch.float64)
-    for _ in range(NEWTON):
-        root = root.detach()
-        value = ((cubic[:, 3] * root + cubic[:, 2]) * root + cubic[:, 1]) * root + cubic[:, 0]
-        rise = (3 * cubic[:, 3] * root + 2 * cubic[:, 2]) * root + cubic[:, 1]
-        root = root - value / rise.detach()  # the last of these steps carries the derivative
-    root = torch.where(root.detach().abs() < FAR, root, torch.nan)
-    behind = (place > TAIL[0]) & (place < TAIL[1])
-    there = share[behind]
-    way = torch.sqrt(there - root[which[behind]])
-    line = _fitted(there, thickness[behind] / way, _taper(there, TAIL), which[behind], 1, count)
-    return root, -line[:, 0] / line[:, 1]
-
-
-def _taper(share: Tensor, window: tuple[float, float]) -> Tensor:
-    """Weights that fall to nothing at both ends of a window, so that no point enters or leaves with a jump."""
-    return (share - window[0]) * (window[1] - share)
-
-
-def _fitted(share: Tensor, values: Tensor, weight: Tensor, which: Array, degree: int, count: int) -> Tensor:
-    """Coefficients (count, degree + 1) of the polynomials of least squares through each section's values.
-
-    A section with too few points has NaN.
-    """
-    import torch
-
-    powers = share[:, None] ** torch.arange(degree + 1)
-    index = torch.from_numpy(which)
-    matrix = torch.zeros((count, degree + 1, degree + 1), dtype=torch.float64)
-    matrix = matrix.index_add(0, index, weight[:, None, None] * powers[:, :, None] * powers[:, None, :])
-    right = torch.zeros((count, degree + 1), dtype=torch.float64)
-    right = right.index_add(0, index, (weight * values)[:, None] * powers)
-    enough = torch.bincount(index, minlength=count) >= FEWEST
-    safe = torch.where(enough[:, None, None], matrix, torch.eye(degree + 1, dtype=torch.float64))
-    solved = torch.linalg.solve(safe, right)
-    return torch.where(enough[:, None], solved, torch.nan)
+def _enclosed(vertices: Array, faces: Array, heights: Array) -> Array:
+    """(n,) the areas that sections at y = `heights` (n,) enclose: upper sides less lower ones."""
+    cut = cuts(vertices, faces, heights)
+    ends = cut.points.reshape(2, -1, 3)
+    facing, section = (part[: ends.shape[1]] for part in (cut.facing, cut.section))
+    height = ends[:, :, 2].sum(axis=0) / 2 - vertices[:, 2].mean()
+    under = facing * np.abs(ends[1, :, 0] - ends[0, :, 0]) * height
+    return np.abs(np.bincount(section, under, len(heights)))

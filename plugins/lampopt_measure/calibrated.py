@@ -109,8 +109,7 @@ class Gauge:
         from lampopt.plugins import Plugins
 
         plugins = Plugins.load()
-        found = [resolve_address(address, plugins) for address in self.addresses]
-        return [(address.partition(".")[0], measure, place) for address, measure, place in found]
+        return [resolve_address(address, plugins) for address in self.addresses]
 
     def at(self, mesh: Trimesh, whose: str = "calibrated") -> Array:
         """(k,) measured on `mesh`. Raises MeasureError saying `whose` feature is not there."""

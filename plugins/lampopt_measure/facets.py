@@ -207,8 +207,9 @@ def highest(facets: Facets, towards: Direction = "z", layer: float = 0.0) -> Qua
     """
     axis = direction(towards)
     reach = facets.required(f"something to look for its end along {towards}").corners @ axis
-    far = reach >= reach.max() - layer - TIE * float(np.ptp(facets.corners, axis=(0, 1)).max())
-    ends = far.any(axis=1)
+    size = max(float(np.ptp(facets.corners[..., k])) for k in range(3))  # numpy is slow at all three at once
+    far = reach >= reach.max() - layer - TIE * size
+    ends = np.unique(np.flatnonzero(far) // far.shape[1])
     share = far[ends] / far.sum()
     return facets.where(ends).quantity(float(reach[far].mean()), share[..., None] * axis).collected()
 

@@ -295,7 +295,7 @@ def _agreeing(
     if not within > 0:
         raise InputError(f"within: expected a distance above 0, got {within}")
     facets.required(f"something to fit {what} to")
-    grid = TIE * float(np.ptp(facets.corners, axis=(0, 1)).max()) + np.finfo(float).tiny
+    grid = TIE * max(float(np.ptp(facets.corners[..., k])) for k in range(3)) + np.finfo(float).tiny
     facets = facets.where(np.lexsort(np.rint(facets.middles / grid).T))  # whatever the order of the mesh's faces
     passed = np.cumsum(facets.size)
     spread = np.unique(np.searchsorted(passed, passed[-1] * (np.arange(SEEDS[needs]) + 0.5) / SEEDS[needs]))
