@@ -15,7 +15,7 @@ import numpy as np
 
 from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError
 from lampopt.measured import resolve_address, values_of
-from lampopt.plugins import Plugins, returned
+from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Interval, Measure
 from lampopt.solve import Posed
 from lampopt.topology import topology
@@ -249,10 +249,24 @@ def measure_checks(bank: Bank, mesh: Trimesh, measures: Mapping[str, Measure]) -
     return found
 
 
+def trusted(name: str, measure: Interval, mesh: Trimesh) -> tuple[Array, bool]:
+    """Low and high (p, 2) of a learned measure's values at coverage LEVEL, and whether `mesh` is outside its range.
+
+    Raises
+    ------
+    PluginError
+        If it returns something else. What it raises is passed on.
+    """
+    ends = np.asarray(measure.interval(mesh, LEVEL), float)  # infinite ends promise nothing, and may
+    if ends.shape != (wanted := (len(measure.names), 2)) or np.isnan(ends).any():  # type: ignore[attr-defined]
+        raise PluginError(f"measure {name!r}: interval: expected {wanted} low and high ends, got {ends!r:.100}")
+    return ends, bool(measure.outside(mesh))
+
+
 def _trust(name: str, measure: Interval, mesh: Trimesh) -> list[str]:
-    ends = returned(f"measure {name!r}: interval", measure.interval(mesh, LEVEL), (None, 2))
-    outside = "; outside what it was made for" if measure.outside(mesh) else ""
-    return [f"{LEVEL:.0%} interval {low:.6g} to {high:.6g}{outside}" for low, high in ends]
+    ends, outside = trusted(name, measure, mesh)
+    told = "; outside what it was made for" if outside else ""
+    return [f"{LEVEL:.0%} interval {low:.6g} to {high:.6g}{told}" for low, high in ends]
 
 
 def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker], needs: Needs) -> list[Check]:

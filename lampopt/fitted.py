@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -279,22 +278,3 @@ class _Told(Sequence[Any]):
             self._farthest = index + 1
             self._progress(self._farthest / len(self), f"mesh {self._farthest} of {len(self)}")
         return found
-
-
-def digest_of_state(state: Mapping[str, Array]) -> str:
-    """A hash of everything that a fitted object holds."""
-    return lamp.digest(np.frombuffer("".join(f"{k}{lamp.digest(v)}" for k, v in sorted(state.items())).encode(), "u1"))
-
-
-def described(measure: Measure) -> str:
-    """What tells a measure that was given as an object from others: its class, options and code."""
-    import inspect
-
-    code = inspect.unwrap(measure) if hasattr(measure, "__wrapped__") else type(measure)
-    try:
-        source = inspect.getsource(code)
-    except (OSError, TypeError):  # typed at a prompt
-        source = ""
-    known: Any = measure
-    options = {f.name: repr(getattr(known, f.name)) for f in fields(known)} if is_dataclass(known) else {}
-    return repr((type(measure).__module__, type(measure).__qualname__, options, source))

@@ -119,6 +119,26 @@ def r_squared(wanted: Array, found: Array) -> float:
     return 1 - float(((found - wanted) ** 2).sum()) / total
 
 
+def conformal_quantile(errors: Array, level: float) -> float:
+    """The least size that a new error stays within with probability `level`, if it is drawn as `errors` (n,) were.
+
+    The ⌈level (n + 1)⌉-th smallest of |errors|, infinite where n is too small to promise that (Vovk et al.,
+    "Algorithmic learning in a random world", 2005).
+
+    Raises
+    ------
+    InputError
+        If `level` is not between 0 and 1, or an error is not finite.
+    """
+    sizes = np.sort(np.abs(np.asarray(errors, float)).ravel())
+    if not 0 < level < 1:
+        raise InputError(f"level: expected a coverage between 0 and 1, such as 0.9, got {level!r}")
+    if not np.isfinite(sizes).all():
+        raise InputError("errors: expected finite numbers")
+    place = int(np.ceil(level * (len(sizes) + 1) - 1e-9))  # 0.9 × 10 is a little more than 9 to a computer
+    return float(sizes[place - 1]) if place <= len(sizes) else float("inf")
+
+
 def _pair(wanted: Array, found: Array) -> tuple[Array, Array]:
     wanted, found = np.asarray(wanted, float), np.asarray(found, float)
     if wanted.shape != found.shape or wanted.size == 0:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
+import sys
+import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +22,6 @@ from lampopt.bank import decoder_of
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
-from lampopt.fitted import described, digest_of_state
 from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
@@ -182,9 +185,7 @@ class Task:
     def _drift(self, address: str) -> str:
         """What tells the measure behind `address` from others."""
         name, measure, _ = resolve_address(address, self.plugins)
-        if ":" in address and isinstance(measure, State):
-            return digest_of_state(measure.state())
-        return str(self.plugins.get("measure", name))
+        return _learned(measure) if ":" in address else str(self.plugins.get("measure", name))
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
@@ -253,11 +254,32 @@ def _measure(name: str, choice: Spec | Measure, plugins: Plugins) -> Measure:
 
 def _told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> list[str]:
     """What tells a measure from others: who offers it with which options, and what it has learned."""
-    if isinstance(choice, Spec):
-        who = [str(plugins.get("measure", choice.name)), *([repr(choice)] if choice.options else [])]
-    else:
-        who = [described(measure)]
-    return [*who, *([digest_of_state(measure.state())] if isinstance(measure, State) else [])]
+    if not isinstance(choice, Spec):
+        return _given(choice)
+    who = [str(plugins.get("measure", choice.name)), *([repr(choice)] if choice.options else [])]
+    return [*who, *([_learned(measure)] if isinstance(measure, State) else [])]
+
+
+def _learned(measure: Measure) -> str:
+    """A hash of all that a learned measure holds; of one that cannot tell, no other is ever taken for it."""
+    if not isinstance(measure, State):
+        return uuid.uuid4().hex
+    return _hash([[name, lamp.digest(np.asarray(array))] for name, array in sorted(measure.state().items())])
+
+
+def _given(measure: Measure) -> list[str]:
+    """A measure given as an object: its class, the file that defines it, with all that it may call there, its options.
+
+    What cannot be read (typed at a prompt) or pickled may be anything: no recorded result is taken for its own.
+    """
+    cls = type(measure)
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    try:
+        source = Path(file).read_bytes() if file else uuid.uuid4().bytes
+        options = _learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
+    except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
+        source = options = uuid.uuid4().bytes
+    return [cls.__module__, cls.__qualname__, *(hashlib.blake2b(part).hexdigest() for part in (source, options))]
 
 
 def _shape(mesh: Trimesh) -> tuple[str, str]:

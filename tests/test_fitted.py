@@ -64,10 +64,13 @@ def test_the_interval_is_the_conformal_quantile():
     assert isinstance(found, Interval)
     mesh = shapes.box((1.2, 0.4, 0.4))
     errors = np.sort(np.abs(found.left_out[:, 0]))
-    for level, place in ((0.5, 7), (0.9, 12), (0.99, 12)):  # the ceil(level * 13)-th of 12, at most the last
-        np.testing.assert_allclose(
-            found.interval(mesh, level)[0], found(mesh)[0] + errors[place - 1] * np.array([-1, 1])
-        )
+    for level, place in ((0.5, 7), (0.9, 12)):  # the ceil(level * 13)-th of 12
+        ends = found(mesh)[0] + errors[place - 1] * np.array([-1, 1])
+        np.testing.assert_allclose(found.interval(mesh, level)[0], ends)
+    assert np.isinf(found.interval(mesh, 0.95)).all()  # twelve cannot promise that
+    for level in (0.0, 1.0, -1, 7):
+        with pytest.raises(InputError, match="level: expected a coverage between 0 and 1"):
+            found.interval(mesh, level)
     assert not found.outside(mesh)
     spread = np.ptp(SIZES[:, 0])
     assert not found.outside(shapes.box((SIZES[:, 0].max() + 0.09 * spread, 0.4, 0.4)))
@@ -96,6 +99,14 @@ def test_labels_that_are_not_known_do_not_count():
     without = lampopt.fit_surrogate(boxes(labels=labels), Spec("calibrated", by="extents.length"), ["litres"])
     np.testing.assert_allclose(found.lines[1], without.lines[0])
     assert np.isfinite(found.r2).all()
+
+
+def test_it_is_outside_of_those_that_have_the_label():
+    labels = np.array(boxes().labels)
+    labels[SIZES[:, 0] > 1.2] = np.nan
+    found = lampopt.fit_surrogate(boxes(labels=labels), Spec("calibrated", by="extents.length"), ["litres"])
+    assert found.outside(shapes.box((1.5, 0.4, 0.4)))
+    assert not found.outside(shapes.box((1.1, 0.4, 0.4)))
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from lampopt.errors import InputError
 from lampopt.metrics import (
+    conformal_quantile,
     chamfer_distance,
     iou,
     mean_absolute_error,
@@ -193,3 +194,21 @@ def test_points_repeat_for_a_seed():
     box = shapes.box()
     np.testing.assert_array_equal(sample_surface(box, 100, seed=3), sample_surface(box, 100, seed=3))
     assert not np.array_equal(sample_surface(box, 100, seed=3), sample_surface(box, 100, seed=4))
+
+
+def test_conformal_quantile_is_the_counted_one():
+    errors = np.array([-3.0, 1.0, 2.0, -5.0, 4.0, 6.0, 7.0, -8.0, 9.0])
+    assert conformal_quantile(errors, 0.5) == 5.0  # the fifth of nine
+    assert conformal_quantile(errors, 0.9) == 9.0  # the ninth, though 0.9 × 10 is more than 9 in binary
+    assert conformal_quantile(errors, 0.91) == np.inf
+    assert conformal_quantile(np.zeros(0), 0.5) == np.inf
+    for level in (0, 1, -0.5, 90):
+        with pytest.raises(InputError, match="coverage between 0 and 1"):
+            conformal_quantile(errors, level)
+
+
+def test_conformal_quantile_covers_as_promised():
+    """Exchangeable errors: over many draws of 19 and one more, the next is within the 90 % quantile 18 times of 20."""
+    draws = np.random.default_rng(0).normal(size=(20_000, 20))
+    inside = [abs(d[19]) <= conformal_quantile(d[:19], 0.9) for d in draws]
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.01)

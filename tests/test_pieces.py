@@ -1,6 +1,7 @@
 """The pieces that measures are composed of, against closed forms and central differences."""
 
 import pickle
+import tracemalloc
 from types import ModuleType
 
 import numpy as np
@@ -13,7 +14,7 @@ import lampopt
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.plugins import Plugins
 from lampopt.protocols import Gradient, Measure
-from lampopt.testing import check_measure
+from lampopt.testing import check_measure, shapes
 from lampopt_measure.pieces import (
     Quantity,
     angle,
@@ -297,3 +298,51 @@ def test_what_is_not_there_is_said():
     with pytest.raises(MeasureError, match="open ends"):
         enclosed_area(section(opened, "z", 0.1))
     assert float(extent(section(opened, "z", 0.1), "y")) == pytest.approx(1)  # a section of an open mesh is one
+
+
+@measure(root="L")
+def rooted(mesh):
+    return {"root": sqrt(1.0 - extent(surface(mesh), "x"))}
+
+
+@measure(share="")
+def shared(mesh):
+    return {"share": 1 / (extent(surface(mesh), "x") - 2.0)}
+
+
+@measure(power="L")
+def powered(mesh):
+    return {"power": (1.0 - extent(surface(mesh), "x")) ** 0.5}
+
+
+@pytest.mark.parametrize("made", [rooted, shared, powered])
+def test_what_cannot_be_worked_out_is_said_of_this_mesh(made):
+    """One shape of a sweep must not end it."""
+    with pytest.raises(MeasureError, match=f"{made.__name__}: cannot be worked out on this mesh"):
+        made()(shapes.box((2, 1, 1)))
+
+
+def only_some(*, part=0.5):
+    if not 0 < part < 1:
+        raise InputError(f"part: expected a share, got {part}")
+
+
+@measure(None, only_some, size="L")
+def portion(mesh, *, part: float = 0.5):
+    return {"size": part * extent(surface(mesh), "x")}
+
+
+def test_options_are_checked_before_anything_is_measured():
+    assert portion(part=0.25)(shapes.box((2, 1, 1))) == pytest.approx([0.5])
+    with pytest.raises(InputError, match="part: expected a share"):
+        portion(part=2.0)
+
+
+def test_a_consensus_among_many_facets_takes_little_memory():
+    """Votes of all candidates at once would take gigabytes."""
+    ball = trimesh.creation.icosphere(subdivisions=7)  # 327,680 faces
+    tracemalloc.start()
+    plane(surface(ball), within=0.1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.5e9

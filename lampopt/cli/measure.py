@@ -7,11 +7,11 @@ from typing import Any
 
 import click
 
-from lampopt.check import LEVEL
+from lampopt.check import LEVEL, trusted
 from lampopt.cli.answer import Answer, Command
 from lampopt.cli.options import spec
 from lampopt.cli.show import number, table
-from lampopt.loop import measure as measured
+from lampopt.measured import values_of
 from lampopt.meshfile import load_mesh
 from lampopt.plugins import Plugins
 from lampopt.protocols import Interval
@@ -35,7 +35,7 @@ def measure(name: str, mesh: Path, settings: tuple[str, ...], unit: str) -> Answ
     plugins = Plugins.load().report()
     chosen = spec(plugins, "measure", name, "--set", settings)
     made, found = plugins.make("measure", chosen), load_mesh(mesh)
-    values = measured(chosen, found, plugins=plugins)
+    values = dict(zip(made.names, values_of(name, made, found).tolist(), strict=True))
     units = [filled(u, unit) for u in made.units]
     document: dict[str, Any] = {
         "measure": name,
@@ -46,11 +46,11 @@ def measure(name: str, mesh: Path, settings: tuple[str, ...], unit: str) -> Answ
     rows = [[n, number(v), u] for (n, v), u in zip(values.items(), units, strict=True)]
     said = []
     if isinstance(made, Interval):
-        document["outside"] = bool(made.outside(found))
+        ends, document["outside"] = trusted(name, made, found)
         heads.append(f"{LEVEL:.0%} interval")
-        for row, value, (low, high) in zip(rows, values, made.interval(found, LEVEL), strict=True):
-            document["values"][value]["interval"] = [float(low), float(high)]
-            row.append(f"{number(float(low))} to {number(float(high))}")
+        for row, value, (low, high) in zip(rows, values, ends.tolist(), strict=True):
+            document["values"][value]["interval"] = [low, high]
+            row.append(f"{number(low)} to {number(high)}")
         if document["outside"]:
             said = [f"{mesh} is outside what {name} was made for: neither value nor interval is to be trusted"]
     return Answer(document, [table(f"{name} of {mesh}", heads, rows, right=("value",)), *said])

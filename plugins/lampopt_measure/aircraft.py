@@ -18,9 +18,10 @@ from .silhouette import FrontalArea
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-WINDOW = 0.02  # of the half span: a sweep is taken from this far to either side of its station
+OFFSETS = np.array([-0.021, -0.007, 0.007, 0.021])  # of the half span: sections about a station, on no row of vertices
+INNER = slice(1, 3)  # of these: where thickness and chord are taken
 OUTER = (0.03, 0.96)  # of the half span: where stations may lie
-ACROSS = 5  # sections for a sweep, an odd number
+ALONG = np.linspace(0.02, 0.97, 98)[1:-1]  # of the half span: where lost tails are looked for
 FROM_ABOVE = FrontalArea(forward="z", up="x")
 
 
@@ -52,7 +53,10 @@ def example_wing() -> Trimesh:
 class Wing:
     """Span from tip to tip, planform area, aspect ratio span² / area, mean chord area / span.
 
-    The area is what the aircraft covers seen from above, its body included. Of a half model span and area are doubled.
+    The area is what the aircraft covers seen from above, its body included, and what it lacks of its sharp trailing
+    edge, of which marching cubes lose some: sections along the span are continued to the tail that `stations` and `bwb`
+    find from their thickness, where that lies behind their own end and they do not end in a wall or a rounding. A true
+    mesh covers its tail. Of a half model span and area are doubled.
 
     Parameters
     ----------
@@ -75,17 +79,25 @@ class Wing:
 
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivatives by the vertices (4, V, 3); tips that tie share theirs. Raises EmptyMesh, MeasureError."""
-        span, area, halves = self._measured(mesh)
+        span, area, found = self._measured(mesh, follow=("tail", "last"))
+        halves, lost = found.halves, self._lost(found)
         by_span = np.zeros((len(halves.vertices), 3))
         by_span[:, 1] = 2 * halves.across()
+        share = (2 * halves.span / lost.size * (lost > 0))[None]
         by_area = 2.0 / len(halves.sides) * FROM_ABOVE.gradient(mesh)[0]
+        by_area += found.gradient(np.zeros(1), tail=share, last=-share)[0] + lost.mean() * by_span
         ratio = 2 * span / area * by_span - (span / area) ** 2 * by_area
         return np.array([by_span, by_area, ratio, by_area / span - area / span**2 * by_span])
 
-    def _measured(self, mesh: Trimesh) -> tuple[float, float, Halves]:
-        halves = Halves.of(mesh, self.model)
-        area = 2.0 / len(halves.sides) * float(FROM_ABOVE(mesh)[0])
-        return 2 * halves.span, area, halves
+    def _measured(self, mesh: Trimesh, *, follow: tuple[str, ...] = ()) -> tuple[float, float, Edges]:
+        found = edges(Halves.of(mesh, self.model), ALONG, follow=follow)
+        covered = 2.0 / len(found.halves.sides) * float(FROM_ABOVE(mesh)[0])
+        span = 2 * found.halves.span
+        return span, covered + span * float(self._lost(found).mean()), found
+
+    def _lost(self, found: Edges) -> Array:
+        """(n, s) how much of the tail each section lacks [L]."""
+        return np.where(found.fitted & ~found.blunt, np.maximum(found.tail - found.last, 0), 0)
 
     def example_mesh(self) -> Trimesh:
         """A small half aircraft."""
@@ -96,8 +108,8 @@ class Wing:
 class Stations:
     """Leading-edge sweep and thickness-to-chord of a wing at stations of its half span.
 
-    The sweep is that of a line through the noses of sections around the station, positive to the rear; the thickness is
-    the largest extent along z of the section there, over the chord.
+    The sweep is that of a line through the noses of four sections about the station, within 2.1 % of the half span,
+    positive to the rear. The thickness is the largest extent along z over the chord, the mean of the two nearest ones.
 
     Parameters
     ----------
@@ -148,31 +160,28 @@ class Stations:
         return found.gradient(by_span, **by)
 
     def _edges(self, mesh: Trimesh, *, follow: tuple[str, ...] = ()) -> Edges:
-        at = np.array(self._places)[:, None] + WINDOW * np.linspace(-1, 1, ACROSS)
+        at = np.array(self._places)[:, None] + OFFSETS
         return edges(Halves.of(mesh, self.model), at.ravel(), follow=follow)
 
     def _values(self, found: Edges) -> tuple[Array, Array, dict[str, Array]]:
-        """The values (2n,), and how they change with the half span (2n,), noses, tails, thicknesses (2n, 5n, s)."""
+        """The values (2n,), and how they change with the half span (2n,), noses, tails, thicknesses (2n, 4n, s)."""
         count, sides = len(self._places), found.nose.shape[1]
-        nose, tail, thickness = (
-            part.reshape(count, ACROSS, sides) for part in (found.nose, found.tail, found.thickness)
-        )
-        away = WINDOW * np.linspace(-1, 1, ACROSS)
-        fit = np.broadcast_to((away / (away**2).sum())[:, None] / sides, (ACROSS, sides))
-        slope = (fit * nose).sum(axis=(1, 2)) / found.halves.span
-        chord = (tail - nose)[:, ACROSS // 2]
-        relative = thickness[:, ACROSS // 2] / chord
-        by_slope = np.degrees(1 / (1 + slope**2))
-        by = {name: np.zeros((count, 2, count, ACROSS, sides)) for name in ("nose", "tail", "thickness")}
-        by_span = np.zeros((count, 2))
-        by_span[:, 0] = -by_slope * slope / found.halves.span
-        for k in range(count):
-            by["nose"][k, 0, k] = by_slope[k] * fit / found.halves.span
-            by["thickness"][k, 1, k, ACROSS // 2] = 1 / chord[k] / sides
-            by["nose"][k, 1, k, ACROSS // 2] = relative[k] / chord[k] / sides
-            by["tail"][k, 1, k, ACROSS // 2] = -relative[k] / chord[k] / sides
-        values = np.stack([np.degrees(np.arctan(slope)), relative.mean(axis=1)], axis=1)
-        return values.ravel(), by_span.ravel(), {k: v.reshape(2 * count, -1, sides) for k, v in by.items()}
+        parts = (found.nose, found.tail, found.thickness)
+        nose, tail, thickness = (part.reshape(count, len(OFFSETS), sides) for part in parts)
+        fit = np.broadcast_to((OFFSETS / (OFFSETS**2).sum() / found.halves.span / sides)[:, None], nose.shape[1:])
+        slope = (fit * nose).sum(axis=(1, 2))
+        chord = (tail - nose)[:, INNER]
+        relative = thickness[:, INNER] / chord
+        values = np.stack([np.degrees(np.arctan(slope)), relative.mean(axis=(1, 2))], axis=1)
+        by_slope, share = np.degrees(1 / (1 + slope**2)), 1 / relative[0].size
+        by_span = np.stack([-by_slope * slope / found.halves.span, np.zeros(count)], axis=1)
+        by = {name: np.zeros((count, 2, *nose.shape)) for name in ("nose", "tail", "thickness")}
+        own = np.arange(count)
+        by["nose"][own, 0, own] = by_slope[:, None, None] * fit
+        by["nose"][own, 1, own, INNER] = share * relative / chord
+        by["tail"][own, 1, own, INNER] = -share * relative / chord
+        by["thickness"][own, 1, own, INNER] = share / chord
+        return values.ravel(), by_span.ravel(), {name: part.reshape(2 * count, -1, sides) for name, part in by.items()}
 
     def example_mesh(self) -> Trimesh:
         """A small half aircraft."""

@@ -20,7 +20,9 @@ NOSE = (0.18, 0.92)  # of the chord: where the squared thickness is fitted to fi
 TAIL = (0.30, 0.92)  # of the chord: where the thickness is fitted to find the tail
 FAR = 0.15  # of the chord: a nose or tail found farther from the section's own end than this is none
 CREST = 0.15  # of the chord: from this far to either side of the cubic's highest point the largest thickness is fitted
+TIE = 1e-9  # of the chord: points of either side nearer than this lie over one another
 NEWTON = 8  # steps to the root of a cubic that is near its start
+STEEP = 2.0  # height over length from which on the rearmost piece of a section is a wall
 FEWEST = 8  # points that a section is fitted to
 
 
@@ -36,28 +38,33 @@ class Edges:
     tail: Array  # (n, s) x of the tail, likewise [L]
     thickness: Array  # (n, s) the largest along z [L]
     fitted: Array  # (n, s) whether nose and tail come from the thickness; elsewhere they are the section's own ends
+    blunt: Array  # (n, s) whether the section ends in a wall or a rounding
     _cuts: Cuts
     _slopes: Mapping[str, Array]  # derivative (m, 3) of each of these by the points of its own section
 
     def gradient(self, by_span: Array, **by: Array) -> Array:
         """(p, V, 3) of p values, given how they change with the half span (p,) and with values here (p, n, s)."""
-        cut, p = self._cuts, len(by_span)
-        slopes = np.zeros((p, len(cut.section), 3))
+        from scipy.sparse import coo_array
+
+        cut, halves = self._cuts, self.halves
+        low, high = (halves.vertices[cut.edges[:, k]] for k in range(2))
+        along = (high - low) / (high - low)[:, 1:2]
+        count, sections = len(halves.vertices), self.nose.size
+        rows = (3 * cut.edges.T[:, :, None] + np.arange(3)).ravel()
+        columns = np.broadcast_to(cut.section[:, None], (2, len(cut.section), 3)).ravel()
+        found, by_root, by_span = np.zeros((len(by_span), count, 3)), np.zeros(len(by_span)), by_span.copy()
         for name, part in by.items():
-            slopes += part.reshape(p, -1)[:, cut.section, None] * self._slopes[name]
-        # A point stays in its section: as its edge or the section moves along y, it slides along the edge.
-        low, high = (self.halves.vertices[cut.edges[:, k]] for k in range(2))
-        run = high - low
-        sliding = (slopes * (run / run[:, 1:2])).sum(axis=2)
-        slopes[:, :, 1] -= sliding
-        rows, count = cut.edges.T.ravel(), len(self.halves.vertices)
-        parts = np.concatenate([(1 - cut.share)[:, None] * slopes, cut.share[:, None] * slopes], axis=1)
-        found = np.stack(
-            [np.stack([np.bincount(rows, of[:, axis], count) for axis in range(3)], axis=1) for of in parts]
-        )
-        away = np.outer(self.at, self.halves.sides).ravel()[cut.section]
-        found[:, :, 1] += np.outer(by_span + (sliding * away).sum(axis=1), self.halves.across())
-        found[:, :, 1] += np.outer(sliding.sum(axis=1), self.halves.middle())
+            weights, slopes = part.reshape(len(part), -1), self._slopes[name]
+            # A point stays in its section: as its edge or the section moves along y, it slides along the edge.
+            sliding = (slopes * along).sum(axis=1)
+            slopes = slopes - sliding[:, None] * [0, 1, 0]
+            shares = np.stack([(1 - cut.share)[:, None] * slopes, cut.share[:, None] * slopes])
+            follow = coo_array((shares.ravel(), (rows, columns)), (3 * count, sections))
+            found += (follow @ weights.T).T.reshape(found.shape)
+            moved = weights * np.bincount(cut.section, sliding, sections)
+            by_root += moved.sum(axis=1)
+            by_span += (moved * np.outer(self.at, halves.sides).ravel()).sum(axis=1)
+        found[:, :, 1] += np.outer(by_root, halves.middle()) + np.outer(by_span, halves.across())
         return found
 
 
@@ -87,13 +94,10 @@ def edges(halves: Halves, at: Array, *, follow: tuple[str, ...] = ()) -> Edges:
     points = torch.from_numpy(cut.points).requires_grad_(bool(follow))
     own, found = _ends(points, cut, len(heights))
     values = {name: value.detach().numpy() for name, value in {**own, **found}.items()}
-    known = {
-        "nose": (np.abs(values["nose"] - values["first"]), np.abs(values["tail"] - values["last"])),
-        "thickness": (np.abs(values["crest"]),),
-    }
     reach = FAR * (values["last"] - values["first"])
-    fitted = (known["nose"][0] < reach) & (known["nose"][1] < reach)
-    crested = fitted & (known["thickness"][0] < CREST)
+    fitted = np.abs(values["nose"] - values["first"]) < reach
+    fitted &= np.abs(values["tail"] - values["last"]) < reach
+    crested = fitted & (np.abs(values["crest"]) < CREST)
     chosen = {"nose": (fitted, "first"), "tail": (fitted, "last"), "thickness": (crested, "largest")}
     for name, (which, instead) in chosen.items():
         values[name] = np.where(which, values[name], values[instead])
@@ -104,8 +108,20 @@ def edges(halves: Halves, at: Array, *, follow: tuple[str, ...] = ()) -> Edges:
         if which.any():
             slopes[name] = np.where(which[cut.section][:, None], _slope(found[name], points), slopes[name])
     shape = len(at), len(halves.sides)
-    parts = (values[name].reshape(shape) for name in ("first", "last", "nose", "tail", "thickness"))
-    return Edges(halves, at, *parts, fitted.reshape(shape), cut, slopes)
+    first, last, nose, tail, thickness = (
+        values[name].reshape(shape) for name in ("first", "last", "nose", "tail", "thickness")
+    )
+    blunt = _blunt(cut, values["last"], reach).reshape(shape)
+    return Edges(halves, at, first, last, nose, tail, thickness, fitted.reshape(shape), blunt, cut, slopes)
+
+
+def _blunt(cut: Cuts, last: Array, reach: Array) -> Array:
+    """Whether the rearmost piece of each section stands, given where they end (n,)."""
+    ahead, behind = cut.points.reshape(2, -1, 3)
+    rearmost = np.maximum(ahead[:, 0], behind[:, 0]) >= (last - TIE * reach)[cut.section[: len(ahead)]]
+    standing = np.abs(behind[:, 2] - ahead[:, 2]) > STEEP * np.abs(behind[:, 0] - ahead[:, 0])
+    found: Array = np.bincount(cut.section[: len(ahead)][rearmost & standing], minlength=len(last)) > 0
+    return found
 
 
 def _slope(values: Tensor, points: Tensor) -> Array:
@@ -151,14 +167,15 @@ def _thicknesses(share: Tensor, z: Tensor, cut: Cuts) -> tuple[Array, Tensor]:
     own, parts = [], []
     for sign in (1.0, -1.0):
         mine, other = (order[cut.facing[order] == side] for side in (sign, -sign))
-        after = np.searchsorted(key[other], key[mine])
-        fits = (after > 0) & (after < len(other))
-        mine, after = mine[fits], after[fits]
+        # Where points lie over one another, the thickness bends: half of each slope is what differences see.
+        after = np.stack([np.searchsorted(key[other], key[mine] + shift) for shift in (-TIE, TIE)])
+        fits = ((after > 0) & (after < len(other))).all(axis=0)
+        mine, after = mine[fits], after[:, fits]
         left, right = other[after - 1], other[after]
         fits = (section[left] == section[mine]) & (section[right] == section[mine]) & (place[right] > place[left])
-        mine, left, right = mine[fits], left[fits], right[fits]
+        mine, left, right = mine[fits.all(axis=0)], left[:, fits.all(axis=0)], right[:, fits.all(axis=0)]
         between = (share[mine] - share[left]) / (share[right] - share[left])
-        parts.append(sign * (z[mine] - z[left] - between * (z[right] - z[left])))
+        parts.append(sign * (z[mine] - (z[left] + between * (z[right] - z[left])).mean(dim=0)))
         own.append(mine)
     return np.concatenate(own), torch.cat(parts)
 

@@ -21,7 +21,8 @@ FIRST = 64  # sections that the kinks are sought with
 CLOSER = 32  # more of them, from just before the first kink to just after the second
 CANDIDATES = 48  # places that a kink may lie at, to begin with
 DIGITS = 4  # of the half span, that a kink is sought to before lines are fitted
-PANEL = 24  # sections that each panel's lines are fitted to, at least; at most twice as many
+PANEL = 48  # sections that each panel's lines are fitted to, at least; at most twice as many
+OFF = 0.382  # of the pitch of the grids they lie on, so that none lies on rows of vertices spaced evenly
 INNER = 0.06  # of a panel, from either end: clear of kinks that a decoder rounds
 RAMP = 0.1  # of a panel: over which a section comes to count in full from there on
 FEWEST = 4  # sections that a line is fitted to
@@ -57,7 +58,7 @@ def planform(halves: Halves, *, derivative: bool = False) -> tuple[Array, Array]
     at = _stations(kinks)
     found = edges(halves, at, follow=("nose", "tail") if derivative else ())
     ends = torch.from_numpy(np.stack([found.nose.mean(axis=1), found.tail.mean(axis=1)], axis=1))
-    kept = _regular(at, ends.numpy() / halves.span, found.fitted.all(axis=1), kinks)
+    kept = _regular(at, ends.numpy() / halves.span, np.asarray(found.fitted.all(axis=1)), kinks)
     at, chosen = at[kept], ends[kept].requires_grad_(derivative)
     span = torch.tensor(halves.span, dtype=torch.float64, requires_grad=derivative)
     values = _panels(torch.from_numpy(at), chosen, span, torch.tensor(kinks, dtype=torch.float64))
@@ -160,7 +161,7 @@ def _stations(kinks: Array) -> Array:
     parts = []
     for start, end in pairwise([0.0, *kinks, 1.0]):
         pitch = 2.0 ** np.floor(np.log2(max(end - start, TINY) / PANEL))
-        parts.append(pitch * np.arange(np.ceil(start / pitch), np.floor(end / pitch) + 1))
+        parts.append(pitch * (np.arange(np.floor(start / pitch), np.ceil(end / pitch)) + OFF))
     at = np.unique(np.concatenate(parts))
     return at[(at >= ACROSS[0]) & (at <= ACROSS[1])]
 
@@ -199,9 +200,7 @@ def _fitted_kinks(at: Array, ends: Array) -> Array:
         apart: Array = bend @ np.linalg.lstsq(bend, ends)[0] - ends
         return apart.ravel()
 
-    return np.sort(
-        least_squares(residuals, pairs[left.argmin()], x_scale=1 / FIRST, loss="soft_l1", f_scale=SMALL).x
-    )
+    return np.sort(least_squares(residuals, pairs[left.argmin()], x_scale=1 / FIRST, loss="soft_l1", f_scale=SMALL).x)
 
 
 def _bent(at: Array, kinks: Array) -> Array:

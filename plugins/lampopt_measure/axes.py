@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.errors import MeasureError
+from lampopt.errors import InputError, MeasureError
 
 from .facets import Shape, direction
 
@@ -14,6 +14,17 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 ALIKE = 0.9  # horizontal sides nearer than this to each other do not tell which way a body points
+
+
+def check_axes(forward: str = "", up: str = "z") -> None:
+    """Raise InputError where the two options are no axes, or one axis."""
+    for option, axis in (("forward", forward), ("up", up)):
+        if not isinstance(axis, str) or (
+            axis.removeprefix("-") not in ("x", "y", "z") and not (option == "forward" and not axis)
+        ):
+            raise InputError(f"{option}: expected one of x, -x, y, -y, z, -z, got {axis!r:.80}")
+    if forward and forward.removeprefix("-") == up.removeprefix("-"):
+        raise InputError(f"forward: expected an axis across up = {up!r}, got {forward!r}")
 
 
 def oriented(mesh: Trimesh, forward: str = "", up: str = "z") -> Shape:
@@ -28,16 +39,15 @@ def oriented(mesh: Trimesh, forward: str = "", up: str = "z") -> Shape:
     Raises
     ------
     EmptyMesh, MeasureError
-        If there are no faces, the horizontal sides are too alike to tell, or both ways are one.
+        If there are no faces, or the horizontal sides are too alike to tell.
     InputError
-        If an axis is none.
+        If an axis is none, or both are one.
     """
+    check_axes(forward, up)
     plain = Shape.of(mesh)
     top = direction(up)
     if forward:
         rear = -direction(forward)
-        if rear @ top:
-            raise MeasureError(f"forward: expected an axis across up = {up!r}, got {forward!r}")
     else:
         size = np.ptp(plain.vertices[np.unique(plain.faces)], axis=0)
         short, long = sorted((k for k in range(3) if not top[k]), key=lambda k: float(size[k]))

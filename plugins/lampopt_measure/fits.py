@@ -22,6 +22,7 @@ from .quantity import Quantity, atan2, combined, sqrt
 Vector = tuple[Quantity, Quantity, Quantity]
 SEEDS = {2: 24, 3: 14}  # places along the facets that a consensus is sought from, by points a feature needs
 ROUNDS = 20  # of fitting and choosing anew; a choice that comes back ends it, mostly after three
+CHUNK = 2_000_000  # pairs of candidate and facet that are looked at in one go
 ALIKE = 1e-9  # relative gap of two spreads below which no direction is the main one
 
 
@@ -306,7 +307,13 @@ def _agreeing(
     features = features[np.isfinite(features).all(axis=1)]
     if not len(features):
         raise MeasureError(f"expected places that determine {what}, got none")
-    votes = (distances(features, facets.middles) <= within) @ facets.size
+    portion = max(1, CHUNK // len(facets))
+    votes = np.concatenate(
+        [
+            (distances(features[i : i + portion], facets.middles) <= within) @ facets.size
+            for i in range(0, len(features), portion)
+        ]
+    )
     kept = distances(features[[votes.argmax()]], facets.middles)[0] <= within
     for _ in range(ROUNDS):
         before, kept = kept, distances(least(facets.where(kept))[None], facets.middles)[0] <= within

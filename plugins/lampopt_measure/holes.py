@@ -49,6 +49,11 @@ class Hole:
     names = ("radius", "x", "y", "z")
     units = ("L",) * 4
 
+    def __post_init__(self) -> None:
+        if isinstance(self.which, bool) or not isinstance(self.which, int) or self.which == 0:
+            raise InputError(f"hole: which: expected 1, 2, ... or -1, -2, ..., got {self.which!r:.100}")
+        _check_along(self.along)
+
     def __call__(self, mesh: Trimesh) -> Array:
         """The four values (4,).
 
@@ -66,8 +71,6 @@ class Hole:
         return np.stack([value.gradient(len(mesh.vertices)) for value in self._values(_whole(mesh, "hole"))])
 
     def _values(self, mesh: Trimesh) -> list[Quantity]:
-        if isinstance(self.which, bool) or not isinstance(self.which, int) or self.which == 0:
-            raise InputError(f"hole: which: expected 1, 2, ... or -1, -2, ..., got {self.which!r:.100}")
         found = bores(mesh, self.along)
         if abs(self.which) > len(found):
             radii = ", ".join(f"{bore.radius:.6g}" for bore in found[:10])
@@ -94,6 +97,9 @@ class Holes:
 
     names = ("count", "largest", "smallest", "sum")
     units = ("", "L", "L", "L")
+
+    def __post_init__(self) -> None:
+        _check_along(self.along)
 
     def __call__(self, mesh: Trimesh) -> Array:
         """The four values (4,). Raises as `Hole` does, and MeasureError where there is no such hole."""
@@ -203,8 +209,6 @@ def area_and_centre(loop: Facets, axis: int) -> tuple[Quantity, Quantity, Quanti
 
 def bores(mesh: Trimesh, along: str = "") -> list[Bore]:
     """Every round through-hole of a closed mesh, the largest first. Raises InputError for an axis that is none."""
-    if along not in ("", "x", "y", "z"):
-        raise InputError(f"along: expected x, y, z or '' for all, got {along!r:.100}")
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     found = [bore for axis in range(3) if along in ("", "xyz"[axis]) for bore in _bores(vertices, faces, axis)]
     return sorted(found, key=lambda bore: (-bore.radius, bore.axis, bore.centre))
@@ -306,6 +310,11 @@ def _whole(mesh: Trimesh, what: str) -> Trimesh:
     if solid(mesh, what) is not mesh:
         raise MeasureError(f"{what}: expected faces that share vertices, got loose triangles; mesh.merge_vertices()")
     return mesh
+
+
+def _check_along(along: str) -> None:
+    if along not in ("", "x", "y", "z"):
+        raise InputError(f"along: expected x, y, z or '' for all, got {along!r:.100}")
 
 
 def _along(axis: str) -> str:

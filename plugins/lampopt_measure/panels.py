@@ -8,6 +8,7 @@ import numpy as np
 
 from lampopt.errors import MeasureError
 
+from .axes import check_axes
 from .example import simple_car
 from .facets import Facets, section
 from .fits import Line, line, slope
@@ -29,21 +30,21 @@ SMOOTH = 1e-5  # of the length: what is off a line by less is on it
 LEVEL = 3.0  # [deg] a floor is no steeper
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def windscreen(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the windscreen to the horizontal, in the middle."""
     body, centre, top = _top(mesh, forward, up)
     return {"angle": _slope(centre, _glass(body, top, 1), body)}
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def rear_window(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the rear window to the horizontal, in the middle; positive where it falls towards the tail."""
     body, centre, top = _top(mesh, forward, up)
     return {"angle": -_slope(centre, _glass(body, top, -1), body)}
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def hood(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the bonnet to the horizontal, in the middle; positive where it rises towards the windscreen."""
     body, centre, top = _top(mesh, forward, up)
@@ -51,7 +52,7 @@ def hood(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number
     return {"angle": _slope(centre, _deck(body, top[: top.index(glass)], glass, 1, "a bonnet"), body)}
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def trunk_lid(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the trunk lid to the horizontal, in the middle; positive where it falls towards the tail."""
     body, centre, top = _top(mesh, forward, up)
@@ -59,7 +60,7 @@ def trunk_lid(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, N
     return {"angle": -_slope(centre, _deck(body, top[top.index(glass) + 1 :], glass, -1, "a trunk lid"), body)}
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def ramp(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the front underbody to the horizontal, in the middle; positive where it rises towards the nose."""
     body, centre, bottom = _bottom(mesh, forward, up)
@@ -67,7 +68,7 @@ def ramp(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number
     return {"angle": -_slope(centre, _under(body, bottom[:floor], -1, "a front underbody"), body)}
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def diffuser(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the rear underbody to the horizontal, in the middle; positive where it rises towards the tail."""
     body, centre, bottom = _bottom(mesh, forward, up)
@@ -75,7 +76,7 @@ def diffuser(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Nu
     return {"angle": _slope(centre, _under(body, bottom[floor + 1 :], 1, "a rear underbody"), body)}
 
 
-@measure(simple_car, angle="deg")
+@measure(simple_car, check_axes, angle="deg")
 def greenhouse(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Angle of the side windows to the vertical, half-way along the roof; positive where they lean inwards."""
     body, _, top = _top(mesh, forward, up)

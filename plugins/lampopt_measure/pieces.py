@@ -75,6 +75,15 @@ class Composed:
     units: ClassVar[tuple[str, ...]]
     function: ClassVar[Callable[..., Values]]
 
+    check: ClassVar[Callable[..., None] | None]
+
+    def __post_init__(self) -> None:
+        if (check := type(self).check) is not None:
+            check(**self._options())
+
+    def _options(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+
     def __call__(self, mesh: Trimesh) -> Array:
         """Values (p,). Raises EmptyMesh, and MeasureError where a feature is not there."""
         return np.array([float(value) for value in self._values(mesh)])
@@ -91,8 +100,12 @@ class Composed:
 
     def _values(self, mesh: Trimesh) -> list[Number]:
         with_faces(mesh)
-        options = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-        found = type(self).function(mesh, **options)
+        try:
+            found = type(self).function(mesh, **self._options())
+        except InputError:
+            raise
+        except (ArithmeticError, ValueError) as error:  # a root of what is negative, a mean of nothing: of this shape
+            raise MeasureError(f"{type(self).__name__}: cannot be worked out on this mesh: {error}") from error
         if set(found) != set(self.names):
             raise MeasureError(
                 f"{type(self).__name__}: expected values {', '.join(self.names)}, got {', '.join(found) or 'none'}"
@@ -104,7 +117,7 @@ class Composed:
 
 
 def measure(
-    example: Callable[[], Trimesh] | None = None, /, **units: str
+    example: Callable[[], Trimesh] | None = None, check: Callable[..., None] | None = None, /, **units: str
 ) -> Callable[[Callable[..., Values]], Callable[..., Composed]]:
     """Turn a function from mesh to named quantities into a measure class.
 
@@ -112,6 +125,8 @@ def measure(
     ----------
     example
         Makes a mesh that it measures, where the shapes of `lampopt.testing` are none.
+    check
+        Raises InputError for options, given by name, that cannot be used: before anything is measured.
     units
         The values' names with their units: "L", "L^2", "L^3", "deg", "" or any that pint reads.
 
@@ -134,6 +149,7 @@ def measure(
             "names": tuple(units),
             "units": tuple(units.values()),
             "function": staticmethod(function),
+            "check": None if check is None else staticmethod(check),
             "__doc__": function.__doc__,
             "__module__": function.__module__,
             "__qualname__": function.__qualname__,

@@ -71,6 +71,8 @@ class Quantity:
         return combined(float(other) / self.value, (self, -float(other) / self.value**2), (other, 1 / self.value))
 
     def __pow__(self, power: float) -> Quantity:
+        if self.value < 0 and power != int(power):
+            raise ValueError(f"expected a base of at least 0 for the power {power:g}, got {self.value:.6g}")
         return combined(self.value**power, (self, power * self.value ** (power - 1)))
 
     def __neg__(self) -> Quantity:

@@ -10,7 +10,7 @@ import numpy as np
 from lampopt.errors import MeasureError
 from lampopt.types import Array
 
-from .axes import oriented
+from .axes import check_axes, oriented
 from .example import simple_car
 from .facets import Shape
 
@@ -42,6 +42,9 @@ class FrontalArea:
 
     names = ("frontal_area",)
     units = ("L^2",)
+
+    def __post_init__(self) -> None:
+        check_axes(self.forward, self.up)
 
     def __call__(self, mesh: Trimesh) -> Array:
         """The area (1,). Raises EmptyMesh, MeasureError."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .axes import oriented
+from .axes import check_axes, oriented
 from .example import simple_car
 from .facets import Facets, Shape, extent, highest, lowest, middle, section, surface
 from .fits import line
@@ -68,7 +68,7 @@ class Vehicle:
         return section(self.shape, "y", self.middle + CENTRE * across)
 
 
-@measure(simple_car, length="L", width="L", height="L", roof_height="L", ground_clearance="L")
+@measure(simple_car, check_axes, length="L", width="L", height="L", roof_height="L", ground_clearance="L")
 def vehicle(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Overall length; width of the body without mirrors; height; roof and underbody above the ground.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from lampopt.errors import MeasureError
 
+from .axes import check_axes
 from .example import simple_car
 from .facets import Facets, extent, middle, section
 from .fits import Circle, circle, line
@@ -54,7 +55,7 @@ class Wheel:
     radius: Quantity
 
 
-@measure(simple_car, wheelbase="L", track_front="L", track_rear="L", radius_front="L", radius_rear="L")
+@measure(simple_car, check_axes, wheelbase="L", track_front="L", track_rear="L", radius_front="L", radius_rear="L")
 def wheels(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
     """Distance of the axles along the vehicle and of the wheels across it, and radii; means of left and right.
 

@@ -1,8 +1,8 @@
-"""A surface as a cloud of oriented points: the same in any order of faces, nearly so for any tessellation.
+"""A surface as a cloud of small triangles: the same in any order of faces, nearly so for any tessellation.
 
-Nothing is drawn at random. Faces are halved across their longest edge until they are small, and the pieces that lie in
-one cell of a grid and face alike are lumped into one point: their centroid, mean normal and area. A smooth function
-summed over the cloud is its integral over the surface to second order in the cell's side.
+Nothing is drawn at random and nothing is lumped. A face is a triangle of the cloud as it stands; only one that is long
+is halved across its longest edge until its pieces are short. What is pooled over the cloud moves smoothly with the
+vertices, but for a face that comes to be halved, whose pieces give what the whole gave to a high order.
 """
 
 from __future__ import annotations
@@ -19,33 +19,32 @@ from lampopt.types import Array
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SIDE = 0.03  # of a cell [scale]
-MOST = 60_000  # pieces, about, of one surface: what is far larger than the training meshes is cut more coarsely
-SHIFT = np.array([0.382, 0.618, 0.271])  # of the grid [cells]: no plane of symmetry lies between two layers of cells
+SIDE = 0.103  # no piece is longer [scale]; no round part of one, at which all faces of a box would be halved at once
+MOST = 60_000  # pieces, about, made by halving: what is far larger than the training meshes is cut more coarsely
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """M oriented points that stand for a surface.
+    """P triangles that are a surface.
 
     Parameters
     ----------
-    points
-        (M, 3) about the surface's area centroid [scale].
+    corners
+        (P, 3, 3) about the surface's area centroid [scale].
     normals
-        (M, 3) mean outward normals, of length 1 where the surface is flat.
+        (P, 3) outward, of length 1.
     areas
-        (M,) of the surface that each point stands for [scale²].
+        (P,) [scale²].
     """
 
-    points: Array
+    corners: Array
     normals: Array
     areas: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A surface cut into P pieces, each in one of F faces and in one of M cells: the way to a cloud and back.
+    """A surface of F faces cut into P pieces: the way to a cloud and back.
 
     Parameters
     ----------
@@ -57,10 +56,9 @@ class Cut:
         Vertices of the mesh, those of no face among them.
     scale
         Length that is 1 in the cloud [unit of the mesh].
-    face, cell
-        (P,) which face and which point of the cloud each piece belongs to.
-    share, inside
-        (P,) the part of its face's area that a piece has, (P, 3) barycentric coordinates of its centroid there.
+    face, share, weights
+        Of each piece: (P,) its face, (P,) its part of the face's area, (P, 3, 3) barycentric coordinates of its corners
+        there.
     """
 
     faces: Array
@@ -68,13 +66,12 @@ class Cut:
     count: int
     scale: float
     face: Array
-    cell: Array
     share: Array
-    inside: Array
+    weights: Array
 
     @classmethod
-    def of(cls, mesh: Trimesh, scale: float, side: float) -> Cut:
-        """Cut `mesh` by cells of `side` [scale].
+    def of(cls, mesh: Trimesh, scale: float) -> Cut:
+        """Cut `mesh`.
 
         Raises
         ------
@@ -93,54 +90,31 @@ class Cut:
             raise EmptyMesh("expected a mesh with faces that have an area, got none")
         corners = corners - _centroid(corners, double)
         edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-        longest = max(side, np.sqrt(double.sum() / 2 / MOST), edges[edges > side].sum() / MOST)
-        face, share, weights = _halved(corners, longest)
-        inside = weights.mean(axis=1)
-        places = np.floor(np.einsum("pi,pix->px", inside, corners[face]) / longest + SHIFT).astype(np.int64)
-        cross = _cross(corners)
-        axis = np.abs(cross).argmax(axis=1)
-        facing = 2 * axis + (np.take_along_axis(cross, axis[:, None], axis=1)[:, 0] > 0)
-        cell = np.unique(np.column_stack([places, facing[face]]), axis=0, return_inverse=True)[1].ravel()
-        return cls(faces, corners, len(vertices), scale, face, cell, share, inside)
-
-    @property
-    def pieces(self) -> tuple[Array, Array, Array]:
-        """Centroids (P, 3), vector areas (P, 3) and areas (P,)."""
-        vectors = _cross(self.corners)[self.face] * self.share[:, None] / 2
-        middles = np.einsum("pi,pix->px", self.inside, self.corners[self.face])
-        return middles, vectors, np.linalg.norm(vectors, axis=1)
+        # powers of two, so that a coarser limit is not another one for every move of a vertex
+        coarser = max(1.0, np.sqrt(double.sum() / 2 / MOST) / SIDE, edges[edges > SIDE].sum() / MOST / SIDE)
+        return cls(faces, corners, len(vertices), scale, *_halved(corners, SIDE * 2 ** np.ceil(np.log2(coarser))))
 
     def cloud(self) -> Cloud:
-        """The cloud, its points in the order of the grid's cells."""
-        middles, vectors, areas = self.pieces
-        total = np.bincount(self.cell, areas)
-        size = len(total)
-        points = _summed(self.cell, areas[:, None] * middles, size) / total[:, None]
-        return Cloud(points, _summed(self.cell, vectors, size) / total[:, None], total)
+        """The cloud, pieces of one face having its normal."""
+        cross = _cross(self.corners)
+        double = np.linalg.norm(cross, axis=1)
+        normals, areas = cross / double[:, None], double / 2
+        return Cloud(self.weights @ self.corners[self.face], normals[self.face], areas[self.face] * self.share)
 
-    def pullback(self, cloud: Cloud, by_points: Array, by_normals: Array, by_areas: Array) -> Array:
-        """Gradient by vertices (V, 3) [1/unit] of what has these by a cloud's points, normals (M, 3) and areas (M,).
-
-        Exact between two jumps of a piece from cell to cell.
-        """
-        middles, _, areas = self.pieces
-        by_sum = by_points / cloud.areas[:, None]
-        by_vectors = by_normals / cloud.areas[:, None]
-        by_total = by_areas - (by_sum * cloud.points + by_vectors * cloud.normals).sum(axis=1)
-        # of a piece: its area, vector area and centroid
-        by_area = self.share * (by_total[self.cell] + (by_sum[self.cell] * middles).sum(axis=1))
-        by_vector = self.share[:, None] * by_vectors[self.cell]
-        by_middle = areas[:, None] * by_sum[self.cell]
+    def pullback(self, by_corners: Array, by_normals: Array, by_areas: Array) -> Array:
+        """Gradient by vertices (V, 3) [1/unit] of what has these by a cloud's corners, normals and areas."""
         size = len(self.faces)
-        area, vector = np.bincount(self.face, by_area, size), _summed(self.face, by_vector, size)
-        place = np.stack([_summed(self.face, self.inside[:, [i]] * by_middle, size) for i in range(3)], axis=1)
+        place = _summed(self.face, (self.weights.transpose(0, 2, 1) @ by_corners).reshape(-1, 9), size)
+        place = place.reshape(size, 3, 3)
+        normal, area = _summed(self.face, by_normals, size), np.bincount(self.face, by_areas * self.share, size)
         # the centroid moves against everything that is placed about it
         cross = _cross(self.corners)
         double = np.linalg.norm(cross, axis=1)
-        shift, whole = -place.sum(axis=(0, 1)), double.sum() / 2
+        outward, shift, whole = cross / double[:, None], -place.sum(axis=(0, 1)), double.sum() / 2
         area += self.corners.mean(axis=1) @ shift / whole
         place += (double / 6 / whole)[:, None, None] * shift
-        by_cross = (area[:, None] * cross / double[:, None] + vector) / 2
+        turned = normal - (normal * outward).sum(axis=1)[:, None] * outward
+        by_cross = area[:, None] * outward / 2 + turned / double[:, None]
         a, b, c = (self.corners[:, i] for i in range(3))
         place += np.stack([np.cross(p, by_cross) for p in (b - c, c - a, a - b)], axis=1)
         return _summed(self.faces.ravel(), place.reshape(-1, 3), self.count) / self.scale
@@ -163,8 +137,8 @@ def _centroid(corners: Array, double: Array) -> Array:
 
 
 def _summed(index: Array, rows: Array, size: int) -> Array:
-    """(size, 3) sums of the `rows` (P, 3) of each index."""
-    return np.stack([np.bincount(index, rows[:, k], size) for k in range(3)], axis=1)
+    """(size, k) sums of the `rows` (P, k) of each index."""
+    return np.stack([np.bincount(index, column, size) for column in rows.T], axis=1)
 
 
 def _halved(corners: Array, longest: float) -> tuple[Array, Array, Array]:

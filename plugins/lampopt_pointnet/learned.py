@@ -32,8 +32,8 @@ class Learned:
     ----------
     names, units
         Of the p values.
-    frame
-        (2,) the length that is 1 in a cloud [unit of the meshes], and the side of a cell [that length].
+    scale
+        () the length that is 1 in a cloud [unit of the meshes].
     pooled
         From a cloud to features.
     features
@@ -50,7 +50,7 @@ class Learned:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    frame: Array
+    scale: Array
     pooled: PointNet | Waves
     features: Array
     regression: Linear | Kernel
@@ -98,17 +98,14 @@ class Learned:
         return self.region.outside(self._standardised(features))
 
     def gradient(self, mesh: Trimesh) -> Array:
-        """Derivatives (p, V, 3) by vertices, exact between two jumps of a piece of surface from cell to cell.
-
-        Raises as the values do.
-        """
+        """Derivatives (p, V, 3) by vertices. Raises as the values do."""
         cut = self._cut(mesh)
         cloud = cut.cloud()
         spread = self.features[1]
         inverse = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
         seen = self._standardised(self.pooled(cloud))
         by_features = self.values[1][:, None] * self.regression.jacobian(seen) * inverse
-        return np.stack([cut.pullback(cloud, *by) for by in self.pooled.pullback(cloud, by_features)])
+        return np.stack([cut.pullback(*by) for by in self.pooled.pullback(cloud, by_features)])
 
     @property
     def cross_validated(self) -> dict[str, dict[str, float]]:
@@ -125,7 +122,7 @@ class Learned:
     def state(self) -> dict[str, Array]:
         """The arrays that `from_state` makes it of again, its words as the bytes of a JSON text."""
         words: dict[str, Any] = {"names": self.names, "units": self.units}
-        arrays: dict[str, Array] = {name: getattr(self, name) for name in ("frame", "features", "values", "errors")}
+        arrays: dict[str, Array] = {name: getattr(self, name) for name in ("scale", "features", "values", "errors")}
         for part in PARTS:
             held = getattr(self, part)
             words[part] = type(held).__name__
@@ -147,7 +144,7 @@ class Learned:
             for part in PARTS:
                 kind = KINDS[words[part]]
                 parts[part] = kind(**{field.name: state[f"{part}.{field.name}"] for field in fields(kind)})
-            arrays: dict[str, Any] = {name: state[name] for name in ("frame", "features", "values", "errors")}
+            arrays: dict[str, Any] = {name: state[name] for name in ("scale", "features", "values", "errors")}
             names, units = (tuple(map(str, words[name])) for name in ("names", "units"))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
@@ -156,8 +153,7 @@ class Learned:
         return cls(names, units, **arrays, **parts)
 
     def _cut(self, mesh: Trimesh) -> Cut:
-        scale, side = self.frame
-        return Cut.of(mesh, float(scale), float(side))
+        return Cut.of(mesh, float(self.scale))
 
     def _standardised(self, features: Array) -> Array:
         """(F,) with mean 0 and variance 1 over the meshes learned from; those that never differed are 0."""

@@ -11,7 +11,7 @@ import numpy as np
 from lampopt.errors import InputError, LampoptError
 from lampopt.types import Array
 
-from .cloud import SIDE, Cloud, Cut
+from .cloud import Cloud, Cut
 from .conformal import Region
 from .learned import Learned, checked, labelled, standardised
 from .pooled import PointNet, Waves
@@ -30,9 +30,7 @@ class PointNetLasso:
     Parameters
     ----------
     neurons
-        Of the PointNet's second layer; each gives two features, its maximum and its mean over the surface.
-    cell
-        Side of the cells that the surface is lumped in, as a part of half the first mesh's longest side.
+        Of the PointNet's second layer; each gives a feature, its mean over the surface.
     folds
         Of the cross-validation that chooses each value's penalty.
 
@@ -42,17 +40,16 @@ class PointNetLasso:
         For options that make no surrogate.
     """
 
-    neurons: int = 256
-    cell: float = SIDE
+    neurons: int = 512
     folds: int = 10
 
     def __post_init__(self) -> None:
-        _sound("pointnet-lasso", self.cell, neurons=self.neurons, folds=self.folds)
+        _sound("pointnet-lasso", neurons=self.neurons, folds=self.folds)
 
     @staticmethod
     def example() -> PointNetLasso:
         """One that learns in a second, for the conformance kit."""
-        return PointNetLasso(neurons=64, cell=0.2, folds=5)
+        return PointNetLasso(neurons=64, folds=5)
 
     def fit(
         self, meshes: Sequence[Trimesh], values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
@@ -67,7 +64,7 @@ class PointNetLasso:
             If shapes disagree, or a value is infinite, hardly ever known or always the same.
         """
         given = checked(values, len(meshes), names, units, LEAST)
-        scale, clouds = surfaces(meshes, self.cell)
+        scale, clouds = surfaces(meshes)
         features = np.stack([*map(self.pooled(seed), clouds)])
         return self.fit_features(scale, features, given, names, units, seed=seed)
 
@@ -90,7 +87,7 @@ class PointNetLasso:
         return Learned(
             names=tuple(names),
             units=tuple(units),
-            frame=np.array([scale, self.cell]),
+            scale=np.array(scale),
             pooled=self.pooled(seed),
             features=about,
             regression=Linear(weights, intercept),
@@ -108,8 +105,6 @@ class FourierRidge:
     ----------
     waves
         How many.
-    cell
-        Side of the cells that the surface is lumped in, as a part of half the first mesh's longest side.
 
     Raises
     ------
@@ -118,22 +113,21 @@ class FourierRidge:
     """
 
     waves: int = 512
-    cell: float = SIDE
 
     def __post_init__(self) -> None:
-        _sound("fourier-ridge", self.cell, waves=self.waves)
+        _sound("fourier-ridge", waves=self.waves)
 
     @staticmethod
     def example() -> FourierRidge:
         """One that learns in a second, for the conformance kit."""
-        return FourierRidge(waves=128, cell=0.2)
+        return FourierRidge(waves=128)
 
     def fit(
         self, meshes: Sequence[Trimesh], values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
     ) -> Learned:
         """As `PointNetLasso.fit`."""
         given = checked(values, len(meshes), names, units, LEAST)
-        scale, clouds = surfaces(meshes, self.cell)
+        scale, clouds = surfaces(meshes)
         features = np.stack([*map(self.pooled(seed), clouds)])
         return self.fit_features(scale, features, given, names, units, seed=seed)
 
@@ -156,7 +150,7 @@ class FourierRidge:
         return Learned(
             names=tuple(names),
             units=tuple(units),
-            frame=np.array([scale, self.cell]),
+            scale=np.array(scale),
             pooled=self.pooled(seed),
             features=about,
             regression=Kernel(features, sharpness, weights),
@@ -166,7 +160,7 @@ class FourierRidge:
         )
 
 
-def surfaces(meshes: Sequence[Trimesh], cell: float) -> tuple[float, list[Cloud]]:
+def surfaces(meshes: Sequence[Trimesh]) -> tuple[float, list[Cloud]]:
     """Half the first mesh's longest side [unit], and all clouds in that length, each mesh looked at once.
 
     One length for all: a scale for each mesh would hide its size.
@@ -183,16 +177,14 @@ def surfaces(meshes: Sequence[Trimesh], cell: float) -> tuple[float, list[Cloud]
             if not clouds:
                 corners = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces, np.int64)].reshape(-1, 3)
                 scale = float(np.ptp(corners, axis=0).max(initial=0.0)) / 2 or 1.0
-            clouds.append(Cut.of(mesh, scale, cell).cloud())
+            clouds.append(Cut.of(mesh, scale).cloud())
         except LampoptError as error:
             raise type(error)(f"mesh {i}: {error}") from error
     return scale, clouds
 
 
-def _sound(name: str, cell: float, **counts: int) -> None:
+def _sound(name: str, **counts: int) -> None:
     """Raise InputError for options that make no surrogate."""
     for option, count in counts.items():
         if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= 10_000:
             raise InputError(f"{name}: {option}: expected a whole number from 2 to 10,000, got {count!r:.100}")
-    if not isinstance(cell, float) or not 0.005 <= cell <= 0.5:
-        raise InputError(f"{name}: cell: expected a part from 0.005 to 0.5, got {cell!r:.100}")
