@@ -19,6 +19,7 @@ from lampopt.plugins import Plugins
 from lampopt.protocols import Measure, Model, Progress, Regression, State, Surrogate
 from lampopt.reading import brief, path_of
 from lampopt.types import Array, Bank, Exemplars, Parameter, Spec
+from lampopt.units import whole
 
 FORMAT = "lampopt fitted"
 SCHEMA = 1
@@ -61,7 +62,12 @@ def fit_surrogate(
     PluginError
         If the surrogate is not installed, or does not return a measure of these names.
     """
+    if not isinstance(exemplars, Exemplars):
+        raise InputError(
+            f"fit_surrogate: expected Exemplars, which have the meshes to learn from, got {type(exemplars).__name__}"
+        )
     plugins = plugins or Plugins.load().report()
+    seed = whole(seed, "seed", 0, 2**63 - 1)
     spec = Spec.of(surrogate)
     learner: Surrogate = plugins.make("surrogate", spec)
     if store is not None:
@@ -113,15 +119,20 @@ def fit_model(
     PluginError
         If there is no such model, it is one that is not fitted, or it returns something else.
     """
+    if not isinstance(known, Exemplars | Bank):
+        raise InputError(f"fit_model: expected Exemplars or a Bank, got {type(known).__name__}")
     plugins = plugins or Plugins.load().report()
+    seed = whole(seed, "seed", 0, 2**63 - 1)
     spec = Spec.of(model)
     learner = plugins.make("model", spec)
     if not isinstance(learner, Regression):
         raise PluginError(f"model {spec.name!r}: is a formula, there is nothing to be fitted")
     labels = _chosen(known.label_space, names, "labels")
     used = _chosen(known.space, inputs, "parameters") if inputs else _varying(known)
-    if not labels or not used:
-        raise InputError(f"model {spec.name!r}: expected parameters that vary, and labels, got {used} and {labels}")
+    if not labels:
+        raise InputError(f"model {spec.name!r}: nothing to be told: these exemplars have no labels such as drag")
+    if not used:
+        raise InputError(f"model {spec.name!r}: nothing to tell it from: no parameter varies over the exemplars")
     if store is not None:
         store = path_of(store, "store")
     fitted = learner.fit(
@@ -248,11 +259,12 @@ def _columns(exemplars: Exemplars, names: Sequence[str]) -> tuple[tuple[Paramete
 
 
 def _chosen(space: Sequence[Parameter], names: Sequence[str], what: str) -> tuple[Parameter, ...]:
-    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+    if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
         raise InputError(f"names: expected a list of names, got {names!r:.80}")
     by_name = {q.name: q for q in space}
     if unknown := sorted(set(names) - set(by_name)):
-        raise InputError(f"{brief(', '.join(unknown))}: not among the {what}, which are {brief(', '.join(by_name))}")
+        there = f"which are {brief(', '.join(by_name))}" if by_name else "of which there are none"
+        raise InputError(f"{brief(', '.join(unknown))}: not among the {what}, {there}")
     if len(set(names)) < len(names):
         raise InputError(f"names: expected each once, got {', '.join(names)}")
     return tuple(by_name[name] for name in names) if names else tuple(space)

@@ -13,17 +13,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
+from lampopt.choices import beside, measures_of, names_of, spec_of, table_of, written_measures
 from lampopt.errors import InputError, StudyError
 from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
 from lampopt.protocols import Measure
 from lampopt.reading import brief, content
 from lampopt.solve import column
-from lampopt.types import LEVELS, Bank, Needs, Scalar, Spec
+from lampopt.types import LEVELS, Bank, Needs, Spec
 from lampopt.units import number, said
 
 Value = float | str
-GIVEN = "given-in-python"  # stands in TOML for a measure that was given as an object
 LARGEST = 2**22  # bytes of a study: 100,000 values of a sweep take three quarters of it
 # A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
@@ -116,12 +116,12 @@ class Study:
         if not isinstance(self.objective, Reduce | None):
             raise StudyError(f"objective: expected Reduce(name, by=fraction), got {said(self.objective)}")
         for name in ("keep", "hard", "checks", "requires"):
-            _assign(self, name, _names(getattr(self, name), name))
-        _assign(self, "measures", _measures(self.measures))
+            _assign(self, name, names_of(getattr(self, name), name))
+        _assign(self, "measures", measures_of(self.measures))
         if not isinstance(self.reference, str | None):
             raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
         for name in ("targets", "limits"):
-            table = {key: _native(value) for key, value in _table(getattr(self, name), name).items()}
+            table = {key: _native(value) for key, value in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(table))
         for key, target in self.targets.items():
             if not _is_value(target):
@@ -131,7 +131,7 @@ class Study:
         for name in ("resolution", "seed"):
             _assign(self, name, _native(getattr(self, name)))
         for name in ("ranges", "sweep"):
-            value = {key: _values(v, f"{name}: {key}") for key, v in _table(getattr(self, name), name).items()}
+            value = {key: _values(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(value))
         _assign(self, "solver", Spec.of(self.solver))
         for key, pair in self.ranges.items():
@@ -214,7 +214,7 @@ class Study:
             if isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
             elif item.name == "measures":
-                document[item.name] = _written_measures(value)
+                document[item.name] = written_measures(value)
             elif isinstance(value, Mapping):
                 document[item.name] = {k: list(v) if isinstance(v, tuple) else _native(v) for k, v in value.items()}
             else:
@@ -255,10 +255,10 @@ class Study:
             raise StudyError("study: expected an entry `bank` with the path of a .lamp file")
         document["bank"] = (folder or Path()) / document["bank"]
         if isinstance(solver := document.get("solver"), dict):
-            document["solver"] = _spec(solver, "solver")
+            document["solver"] = spec_of(solver, "solver")
         if isinstance(measures := document.get("measures"), dict):
             document["measures"] = {
-                name: _spec(value, f"measures: {name}") if isinstance(value, dict) else value
+                name: beside(spec_of(value, f"measures: {name}"), folder) if isinstance(value, dict) else value
                 for name, value in measures.items()
             }
         if "objective" in document:
@@ -288,20 +288,6 @@ def _assign(study: Study, name: str, value: object) -> None:
     object.__setattr__(study, name, value)
 
 
-def _names(value: object, what: str) -> tuple[str, ...]:
-    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
-        raise StudyError(f"{what}: expected a list of names, got {said(value)}")
-    if twice := sorted(v for v, times in Counter(value).items() if times > 1):
-        raise StudyError(f"{what}: {', '.join(twice)} twice; name each once")
-    return tuple(value)
-
-
-def _table(value: object, what: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping) or not all(isinstance(k, str) for k in value):
-        raise StudyError(f"{what}: expected a table of names and values, got {said(value)}")
-    return MappingProxyType(dict(value))
-
-
 def _values(value: object, what: str) -> tuple[Value, ...]:
     if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
         raise StudyError(f"{what}: expected a list of values, got {said(value)}")
@@ -324,52 +310,6 @@ def _native(value: object) -> Any:
     if isinstance(value, Integral):
         return int(value)
     return float(value) if isinstance(value, Real) else value
-
-
-def _spec(table: Mapping[str, Scalar], what: str) -> Spec:
-    options = dict(table)
-    name = options.pop("name", None)
-    if not isinstance(name, str):
-        raise StudyError(f"{what}: expected a name, or a table with an entry `name`, got {said(dict(table))}")
-    try:
-        return Spec(name, **options)
-    except InputError as error:
-        raise StudyError(f"{what}: {error}") from error
-
-
-def _measures(given: object) -> Mapping[str, Spec | Measure]:
-    """What is to be measured, by the name under which its values are reported."""
-    if not isinstance(given, Mapping):
-        return MappingProxyType({name: Spec(name) for name in _names(given, "measures")})
-    found: dict[str, Spec | Measure] = {}
-    for name, choice in _table(given, "measures").items():
-        if "." in name or not name:
-            raise StudyError(f"measures: expected a name without dots, for values are called name.value, got {name!r}")
-        if isinstance(choice, str):
-            choice = Spec(choice)
-        elif isinstance(choice, type) or not isinstance(choice, Spec | Measure):
-            raise StudyError(
-                f"measures: {name}: expected the name of a measure, a Spec or a measure, got {said(choice)}"
-            )
-        found[name] = choice
-    return MappingProxyType(found)
-
-
-def _written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict[str, Any]:
-    """For TOML: names alone where they say it all; an object by its class, which cannot be made again from it."""
-    if all(isinstance(choice, Spec) and choice == Spec(name) for name, choice in measures.items()):
-        return list(measures)
-    found: dict[str, Any] = {}
-    for name, choice in measures.items():
-        if isinstance(choice, Spec) and "name" in choice.options:
-            raise StudyError(f"measures: {name}: {choice} has an option `name`, which TOML could not tell from its own")
-        options = choice.options if isinstance(choice, Spec) else {"of": _class(choice)}
-        found[name] = {"name": choice.name if isinstance(choice, Spec) else GIVEN, **options}
-    return found
-
-
-def _class(value: object) -> str:
-    return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
 def _objective(table: object) -> Reduce:

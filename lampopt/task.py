@@ -20,6 +20,7 @@ import numpy as np
 from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
+from lampopt.choices import GIVEN
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
 from lampopt.measured import resolve_address
@@ -27,7 +28,7 @@ from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, Measure, Solver, State
 from lampopt.solve import Posed, pose
-from lampopt.study import GIVEN, Study, Value
+from lampopt.study import Study, Value
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
 from lampopt.written import MeshFile
 

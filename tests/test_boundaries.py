@@ -38,6 +38,7 @@ LAYERS = (
     {"written"},
     {"record"},
     {"mixes"},
+    {"choices"},
     {"study"},
     {"task"},
     {"workers"},

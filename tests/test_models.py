@@ -126,8 +126,8 @@ def test_penalty_is_the_one_that_scikit_learn_chooses():
     x = rng.normal(size=(60, 20))
     y = x @ np.linspace(0, 1, 20) + 2 * rng.normal(size=60)
     model = fit(Linear(), x, y)
-    given = RidgeCV(alphas=60 * PENALTIES, scoring="neg_mean_squared_error").fit(model.scale(x), y)
-    assert np.allclose(model(x)[:, 0], given.predict(model.scale(x)), rtol=0, atol=1e-8)
+    given = RidgeCV(alphas=60 * PENALTIES, scoring="neg_mean_squared_error").fit(model.labels[0].scale(x), y)
+    assert np.allclose(model(x)[:, 0], given.predict(model.labels[0].scale(x)), rtol=0, atol=1e-8)
     assert given.alpha_ > 1
 
 
@@ -217,7 +217,7 @@ def test_state_gives_it_back_bit_for_bit(regression):
     model = fit(regression, x, labels)
     assert isinstance(model, State)
     state = {name: np.array(array) for name, array in model.state().items()}
-    assert all(array.dtype.kind in "fiu" and np.isfinite(array).all() for array in state.values())
+    assert all(array.dtype.kind in "fiu" for array in state.values())
     again, at = type(model).from_state(state), drawn(15, 3, 1) * 1.5
     assert type(again) is type(model)
     assert (again.names, again.units, again.inputs) == (model.names, model.units, model.inputs)
@@ -225,7 +225,7 @@ def test_state_gives_it_back_bit_for_bit(regression):
         assert np.array_equal(ask(again, at), ask(model, at))
     assert np.array_equal(again.interval(at, 0.9), model.interval(at, 0.9))
     assert again.evidence.regressions == model.evidence.regressions
-    assert np.array_equal(again.evidence.r2, model.evidence.r2)
+    assert np.array_equal(again.evidence.r2, model.evidence.r2, equal_nan=True)
     assert state.keys() == again.state().keys()
 
 
@@ -423,10 +423,10 @@ def test_a_larger_table_is_drawn_from():
     x = rng.uniform(-1, 1, (200, 2))
     y = np.sin(3 * x[:, 0]) + 0.1 * rng.normal(size=200)
     model = fit(GaussianProcess(folds=3, search=20, most=50), x, y)
-    (curve,) = model.curves
-    assert isinstance(curve, Process)
-    assert len(curve.points) == 50
-    assert len(model.misses[0]) == 200
+    (label,) = model.labels
+    assert isinstance(label.curve, Process)
+    assert len(label.curve.points) == 50
+    assert len(label.misses) == 200
     assert model.evidence.r2[0, 0] > 0.9
 
 
@@ -440,7 +440,8 @@ def test_wrong_input_is_refused():
         (x * np.nan, good, {}, "parameters: expected finite"),
         (x, good * np.inf, {}, "labels: expected finite"),
         (x, good * np.nan, {}, "label 'y': expected at least 3 rows"),
-        (x * 1e101, good, {}, "parameter 'a': expected values up to"),
+        (x * 1e101, good, {}, "parameter 'a': expected the largest value from"),
+        (x, good * 1e-120, {}, "label 'y': expected the largest value from"),
         (np.ones((20, 2)), good, {}, "label 'y': expected rows whose parameters differ"),
         (x, good, {"inputs": ("a", "a")}, "inputs: expected distinct names"),
         (x, good, {"names": ("",)}, "names: expected distinct names"),
@@ -455,7 +456,7 @@ def test_wrong_input_is_refused():
             asked(x[0])
         with pytest.raises(InputError, match="expected finite"):
             asked(np.full((1, 2), np.nan))
-    with pytest.raises(InputError, match="level: expected a number between 0 and 1"):
+    with pytest.raises(InputError, match="level: expected a coverage between 0 and 1"):
         model.interval(x, 90)
 
 

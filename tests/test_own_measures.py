@@ -181,15 +181,16 @@ def test_a_run_with_an_object_is_read_back_but_not_run_from_its_file(bank, tmp_p
         lampopt.run(study, plugins=small.plugins())
 
 
-def test_toml_holds_names_and_options(tmp_path):
+def test_toml_holds_names_and_options(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     study = Study("b.lamp", TARGET, measures={"a": "extents", "b": Spec("learned", file="x.measure")})
-    again = Study.from_toml(study.to_toml())
-    assert dict(again.measures) == {"a": Spec("extents"), "b": Spec("learned", file="x.measure")}
+    again = Study.from_toml(study.to_toml(), folder=Path("/elsewhere"))  # written absolute: it is the same file
+    assert dict(again.measures) == {"a": Spec("extents"), "b": Spec("learned", file=str(tmp_path / "x.measure"))}
     assert 'measures = [\n    "extents",\n]' in Study("b.lamp", TARGET, measures=("extents",)).to_toml()
     written = 'bank = "b.lamp"\n[measures]\nsize = "extents"\ndrag = { name = "learned", file = "d.measure" }\n'
-    assert dict(Study.from_toml(written).measures) == {
+    assert dict(Study.from_toml(written, folder=Path("/here")).measures) == {
         "size": Spec("extents"),
-        "drag": Spec("learned", file="d.measure"),
+        "drag": Spec("learned", file="/here/d.measure"),
     }
 
 
@@ -200,7 +201,10 @@ def test_toml_holds_names_and_options(tmp_path):
         ({"d": 5}, "measures: d: expected the name of a measure"),
         ({"a.b": "extents"}, "expected a name without dots"),
         ({5: "extents"}, "expected a table of names"),
-        (Diagonal(), "expected a list of names"),
+        (Diagonal(), "needs a name, under which its values are"),
+        (["extents", Diagonal()], "needs a name, under which its values are"),
+        ([Spec("extents")], "needs a name"),
+        ([5], "expected a list of names"),
     ],
 )
 def test_what_is_no_measure_is_refused(measures, message):

@@ -13,7 +13,7 @@ import click
 
 from lampopt.cli import show
 from lampopt.cli.answer import DONE, REJECTED, Answer, Command
-from lampopt.cli.options import can_be_written, numbers, pairs, spec
+from lampopt.cli.options import can_be_written, chosen_measures, numbers, pairs, spec
 from lampopt.errors import InputError, StudyError
 from lampopt.loop import run as run_study
 from lampopt.loop import sweep as sweep_study
@@ -54,7 +54,13 @@ _report = click.option("--report/--no-report", default=True, help="Whether to wr
 @click.option("--reference", metavar="NAME", help="The exemplar to stay near.")
 @click.option("--solver", default="kkt", show_default=True, metavar="NAME", help="What chooses the mix.")
 @click.option("--solver-set", "solver_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the solver.")
-@click.option("--measure", "measures", multiple=True, metavar="NAME", help="A measure to report; repeatable.")
+@click.option(
+    "--measure",
+    "measures",
+    multiple=True,
+    metavar="NAME[:OPTION=VALUE,...]",
+    help="A measure to report, with its options; repeatable.",
+)
 @click.option("--limit", "limits", multiple=True, metavar="CHECK=NUMBER", help="The limit of a check; repeatable.")
 @click.option("--resolution", default=128, show_default=True, help="Cells along the decoder's box.")
 @click.option("--level", type=click.Choice(LEVELS), default="mesh", show_default=True, help="Where to stop judging.")
@@ -96,7 +102,7 @@ def make(
         keep=keep,
         reference=reference,
         solver=spec(plugins, "solver", solver, "--solver-set", solver_settings),
-        measures=measures,
+        measures=chosen_measures(plugins, measures),
         limits=numbers("--limit", limits),
         level=level,
         resolution=resolution,

@@ -58,6 +58,23 @@ def spec(plugins: Plugins, kind: str, name: str, option: str, given: Sequence[st
     return Spec(name, **{key: _typed(f"{option} {key}", text, declared.get(key, "str")) for key, text in texts.items()})
 
 
+def chosen_measures(plugins: Plugins, given: Sequence[str]) -> dict[str, Spec]:
+    """Measures by name, from NAME or NAME:OPTION=VALUE,... texts.
+
+    Raises
+    ------
+    PluginError, InputError
+        As `spec`, and where a name comes twice.
+    """
+    found: dict[str, Spec] = {}
+    for text in given:
+        name, _, options = text.partition(":")
+        if name in found:
+            raise InputError(f"--measure: {name} is given twice: leave one out")
+        found[name] = spec(plugins, "measure", name, "--measure", options.split(",") if options else ())
+    return found
+
+
 def can_be_written(option: str, path: Path) -> None:
     """Raise InputError, before long work, where no file can be put at `path`."""
     folder = path.parent

@@ -18,7 +18,7 @@ from lampopt.errors import InputError, MeasureError
 from lampopt.measured import resolve_address, values_of
 from lampopt.metrics import conformal_quantile
 from lampopt.protocols import Gradient, Measure
-from lampopt.types import Array
+from lampopt.types import Array, frozen_array
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -57,13 +57,16 @@ class Calibrated:
         Raises
         ------
         InputError
-            If there are too few exemplars for the line, or a measured value does not vary over them.
+            If values, names and units do not go together, there are too few exemplars for the line, or what is measured
+            or asked for does not vary over them.
         MeasureError
             If a feature is not there, naming the mesh's place in `meshes`.
         """
+        values = frozen_array(values, "calibrated: values", (len(meshes), len(names)), nan=True)
+        if not len(names) == len(units) == len(set(names)) > 0:
+            raise InputError(f"calibrated: expected names, each once, and as many units, got {names} and {units}")
         gauge = Gauge(self.addresses)
         measured = np.array([gauge.at(mesh, f"calibrated: mesh {i}") for i, mesh in enumerate(meshes)])
-        values = np.asarray(values, float)
         lines, left_out = [], np.full(values.shape, np.nan)
         for column, name in enumerate(names):
             known = np.isfinite(values[:, column])
@@ -87,6 +90,11 @@ def _line(measured: Array, values: Array, name: str, addresses: Sequence[str]) -
         raise InputError(f"calibrated: {name}: expected at least {k + 2} exemplars with a value, got {n}")
     if still := [a for a, spread in zip(addresses, np.ptp(measured, axis=0), strict=True) if spread == 0]:
         raise InputError(f"calibrated: {', '.join(still)}: the same on all exemplars, {name} cannot be told from it")
+    size = float(np.abs(values).max())
+    if not 1e-100 < size < 1e100 or np.ptp(values) <= 1e-12 * size:
+        raise InputError(
+            f"calibrated: {name}: expected values that vary, of a size that computers hold, got {values[:3]} ..."
+        )
     middle, spread = measured.mean(0), np.ptp(measured, axis=0)
     design = np.column_stack([np.ones(n), (measured - middle) / spread])
     q, r = np.linalg.qr(design)
@@ -165,6 +173,20 @@ class CalibratedMeasure:
     values: Array
     measured: Array
 
+    def __post_init__(self) -> None:
+        texts = (self.names, self.units, self.addresses)
+        if not all(isinstance(text, str) and text.isprintable() for part in texts for text in part):
+            raise InputError(f"calibrated: expected names, units and addresses as texts, got {texts!r:.200}")
+        n, p, k = len(self.values), len(self.names), len(self.addresses)
+        if not (len(self.units) == p > 0 and k > 0 and n > 1):
+            raise InputError(f"calibrated: expected as many units as names, an address, exemplars, got {texts!r:.200}")
+        shapes = {"lines": (p, 1 + k), "measured": (n, k), "values": (n, p), "left_out": (n, p)}
+        for name, shape in shapes.items():
+            gaps = name in ("values", "left_out")
+            object.__setattr__(self, name, frozen_array(getattr(self, name), f"calibrated: {name}", shape, nan=gaps))
+        if (np.isfinite(self.left_out).sum(0) < 2).any() or (np.isnan(self.values) & ~np.isnan(self.left_out)).any():
+            raise InputError("calibrated: expected the errors of at least two exemplars that have a value")
+
     def __call__(self, mesh: Trimesh) -> Array:
         """Values (p,). Raises MeasureError where what is measured is not there."""
         self._with_faces(mesh)
@@ -227,7 +249,7 @@ class CalibratedMeasure:
     def from_state(cls, state: Mapping[str, Array]) -> CalibratedMeasure:
         """The measure again."""
         names, units, addresses = (tuple(part) for part in json.loads(np.asarray(state["texts"]).tobytes()))
-        rest = {name: np.asarray(state[name], float) for name in ("lines", "left_out", "values", "measured")}
+        rest = {name: state[name] for name in ("lines", "left_out", "values", "measured")}
         return cls(names=names, units=units, addresses=addresses, **rest)
 
     @cached_property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lampopt import load_measure
+from lampopt.errors import InputError
 from lampopt.protocols import Measure
 
 
@@ -23,10 +24,12 @@ class Learned:
         As `lampopt.load_measure`.
     """
 
-    file: str
+    file: str = ""
 
-    def __new__(cls, file: str) -> Measure:  # type: ignore[misc]  # so that what it cannot do is not offered
+    def __new__(cls, file: str = "") -> Measure:  # type: ignore[misc]  # so that what it cannot do is not offered
         """The measure in `file`."""
+        if not file:
+            raise InputError("learned: expected the option `file`, what `lampopt surrogate fit --out` wrote")
         return load_measure(file)
 
     @staticmethod

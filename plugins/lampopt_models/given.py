@@ -10,10 +10,11 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array, frozen_array
 
-from .curve import check_arrays
+from .curve import check_arrays, check_range
 
 FEWEST = 3  # rows with a label: fewer leave nothing to check a model by
 LARGEST = 1e100  # a value whose square is a number
+FARTHEST = 1e30  # deviations: no use beyond, and squares and products of so many are numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,12 @@ class Given:
         labels = frozen_array(self.labels, "labels", (len(parameters), len(self.names)), nan=True)
         for what, names, values in (("parameter", self.inputs, parameters), ("label", self.names, labels)):
             for name, column in zip(names, values.T, strict=True):
-                if np.nanmax(np.abs(column), initial=0.0) > LARGEST:
-                    raise InputError(f"{what} {name!r}: expected values up to {LARGEST:g}: choose another unit")
+                largest = np.nanmax(np.abs(column), initial=0.0)
+                if largest > LARGEST or 0 < largest < 1 / LARGEST:
+                    raise InputError(
+                        f"{what} {name!r}: expected the largest value from {1 / LARGEST:g} to {LARGEST:g}, got "
+                        f"{largest:g}: choose another unit"
+                    )
         for name, count in zip(self.names, (~np.isnan(labels)).sum(axis=0), strict=True):
             if count < FEWEST:
                 raise InputError(f"label {name!r}: expected at least {FEWEST} rows that have it, got {count}")
@@ -63,8 +68,8 @@ class Given:
 
 def texts(value: Sequence[str], what: str, *, distinct: bool) -> tuple[str, ...]:
     """`value` as a tuple of texts. Raises InputError if it is none, or one that has to be distinct comes twice."""
-    if isinstance(value, str) or not all(isinstance(text, str) for text in value):
-        raise InputError(f"{what}: expected a sequence of texts, got {value!r:.200}")
+    if isinstance(value, str) or not all(isinstance(text, str) and text.isprintable() for text in value):
+        raise InputError(f"{what}: expected a sequence of printable texts, got {value!r:.200}")
     if distinct and (not value or not all(value) or len(set(value)) < len(value)):
         raise InputError(f"{what}: expected distinct names, at least one, got {tuple(value)!r:.200}")
     return tuple(value)
@@ -86,7 +91,10 @@ class Scale:
     rate: Array
 
     def __post_init__(self) -> None:
-        check_arrays(self, centre=(len(self.centre),), rate=(len(self.centre),))
+        check_arrays(self, centre=(None,))
+        check_arrays(self, rate=(len(self.centre),))
+        check_range("centre", self.centre, -LARGEST, LARGEST)
+        check_range("rate", self.rate, 0.0, np.inf)
 
     @classmethod
     def of(cls, parameters: Array) -> Scale:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lampopt.errors import InputError
 from lampopt.types import Array
 
 from .curve import check_arrays
@@ -28,8 +29,13 @@ class Polynomial:
     kind: ClassVar[str] = "polynomial"
 
     def __post_init__(self) -> None:
-        d = len(self.slope)
-        check_arrays(self, constant=(1,), slope=(d,), bend=(d, d))
+        check_arrays(self, constant=(1,), slope=(None,))
+        check_arrays(self, bend=(len(self.slope), len(self.slope)))
+
+    def check_inputs(self, d: int) -> None:
+        """Raise InputError if it is not of d parameters."""
+        if len(self.slope) != d:
+            raise InputError(f"slope: expected {d} parameters, got {len(self.slope)}")
 
     def __call__(self, z: Array) -> Array:
         """Values (B,) at (B, d)."""

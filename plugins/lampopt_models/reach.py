@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lampopt.errors import InputError
 from lampopt.types import Array
 
-from .curve import check_arrays
+from .curve import check_arrays, check_range
 
 MARGIN = 3.0  # mean gaps between neighbouring rows: one more row falls beyond an end by so much once in e³ = 20 times
 RANK = 1e-6  # of the largest singular value
-FAR = 1e300  # where there is no limit; a file holds finite numbers
+FAR = 1e100  # where there is no limit; a file holds finite numbers
+STEEPEST = 1e10  # an axis: 1 / (RANK × deviation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +30,7 @@ class Reach:
         (r, d) directions that they vary in, each divided by its singular value [scaled parameters].
     limits
         (3,) 1 / n; the largest leverage of a row on the model of all others;
-        the farthest from their flat. Both 1e300 where there are too few rows to tell.
+        the farthest from their flat. Both 1e100 where there are too few rows to tell.
     """
 
     low: Array
@@ -37,8 +39,11 @@ class Reach:
     limits: Array
 
     def __post_init__(self) -> None:
-        d = len(self.low)
-        check_arrays(self, low=(d,), high=(d,), axes=(None, d), limits=(3,))
+        check_arrays(self, low=(None,), limits=(3,))
+        check_arrays(self, high=(len(self.low),), axes=(None, len(self.low)))
+        check_range("axes", self.axes, -STEEPEST, STEEPEST)
+        if len(self.axes) > len(self.low):
+            raise InputError(f"axes: expected at most {len(self.low)}, got {len(self.axes)}")
 
     @classmethod
     def of(cls, parameters: Array, z: Array) -> Reach:

@@ -13,12 +13,13 @@ from lampopt.errors import InputError
 from lampopt.types import Array
 
 from .curve import Curve
-from .fitted import Evidence, Fitted, assembled
 from .given import Given, Scale, folds_of
+from .label import Label
+from .model import Evidence, LearnedModel, assembled
 from .polynomial import SHARES, Polynomial, constant, polynomial
-from .process import Process, process, sample
+from .process import MOST_ROWS, Process, process, sample
 from .reach import Reach
-from .trees import Trees, boosted
+from .trees import MOST_LEAVES, Trees, boosted
 
 NEGLIGIBLE = 1e-6  # of a label's variance: what differs by less is as good
 
@@ -43,7 +44,7 @@ class _Regression(ABC):
         names: Sequence[str],
         units: Sequence[str],
         seed: int,
-    ) -> Fitted:
+    ) -> LearnedModel:
         """A model of labels (n, p), called `names` in `units`, by parameters (n, d), called `inputs`.
 
         A NaN is a label that is not known: its row does not count for it.
@@ -115,16 +116,19 @@ class GaussianProcess(_Regression):
     Parameters
     ----------
     folds
-        Parts of the cross-validation that intervals and evidence come from. Lengths and noise are not sought anew for
-        each part.
+        Parts of the cross-validation that intervals and evidence come from.
     search
         Rows that lengths and noise are sought with; of more, so many are drawn. Time grows with their cube.
     most
-        Rows that the process is given; of more, so many are drawn.
+        Rows that the process is given, up to 5,000; of more, so many are drawn.
+    anew
+        Rows with the label up to which each part of the cross-validation seeks lengths and noise without its rows. Of
+        more, all parts have those of all rows, which saves most of the time and flatters a little.
     """
 
     search: int = 1000
     most: int = 3000
+    anew: int = 500
 
     name = "gaussian-process"
 
@@ -136,14 +140,17 @@ class GaussianProcess(_Regression):
     def __post_init__(self) -> None:
         super().__post_init__()
         _at_least(self.search, 10, "search")
-        _at_least(self.most, 10, "most")
+        _at_least(self.most, 10, "most", MOST_ROWS)
+        _at_least(self.anew, 0, "anew")
 
     def learn(self, z: Array, y: Array, seed: int) -> Process:
         """The process through y (n,) at z (n, d)."""
         return process(z, y, sample(len(y), self.most, seed), self.search, seed)
 
     def held_out(self, curve: Curve, z: Array, y: Array, part: Array, seed: int) -> tuple[Array, Array]:
-        """Values and deviations (n,), each row's by those of other parts (n,), with the lengths and noise of all."""
+        """Values and deviations (n,) of each row by those of other parts (n,)."""
+        if len(y) <= self.anew:
+            return super().held_out(curve, z, y, part, seed)
         assert isinstance(curve, Process)
         given = sample(len(y), self.most, seed)
         values, deviations = curve(z), curve.deviation(z)
@@ -181,7 +188,7 @@ class BoostedTrees(_Regression):
     def __post_init__(self) -> None:
         super().__post_init__()
         _at_least(self.trees, 1, "trees")
-        _at_least(self.leaves, 2, "leaves")
+        _at_least(self.leaves, 2, "leaves", MOST_LEAVES)
         if not 0 < self.rate <= 1:
             raise InputError(f"rate: expected a number above 0 and up to 1, got {self.rate!r}")
 
@@ -233,7 +240,7 @@ class Best:
         names: Sequence[str],
         units: Sequence[str],
         seed: int,
-    ) -> Fitted:
+    ) -> LearnedModel:
         """As `Linear.fit`, by the regression chosen for each label."""
         tried = [cls(folds=self.folds) for name, cls in SIMPLEST_FIRST.items() if name in self.among.split()]
         return _learned(tried, Given(parameters, labels, tuple(inputs), tuple(names), tuple(units)), self.folds, seed)
@@ -248,35 +255,29 @@ class _Trial:
     r2: Array
 
 
-def _learned(tried: Sequence[_Regression], given: Given, folds: int, seed: int) -> Fitted:
-    scale = Scale.of(given.parameters)
-    z = scale(given.parameters)
-    taken: list[_Trial] = []
-    r2, error = np.ones((2, len(given.names), len(tried)))
+def _learned(tried: Sequence[_Regression], given: Given, folds: int, seed: int) -> LearnedModel:
+    labels: list[Label] = []
+    r2, error = np.full((2, len(given.names), len(tried)), np.nan)
     chosen = np.zeros(len(given.names), np.int64)
-    for k, (name, y) in enumerate(zip(given.names, given.labels.T, strict=True)):
-        known = ~np.isnan(y)
-        trials = _trials(tried, z[known], y[known], folds, seed, name)
-        scores = np.array([trial.r2 for trial in trials])
-        r2[k], error[k] = scores.mean(axis=1), scores.std(axis=1, ddof=1) / np.sqrt(scores.shape[1])
-        chosen[k] = as_good_as_the_best(scores)
-        taken.append(trials[chosen[k]])
-    return assembled(
-        given.names,
-        given.units,
-        given.inputs,
-        scale,
-        [trial.curve for trial in taken],
-        [trial.misses for trial in taken],
-        Reach.of(given.parameters, z),
-        Evidence(tuple(one.name for one in tried), r2, error, chosen),
-    )
+    for k, (name, column) in enumerate(zip(given.names, given.labels.T, strict=True)):
+        known = ~np.isnan(column)
+        parameters, y = given.parameters[known], column[known]
+        scale = Scale.of(parameters)
+        z = scale(parameters)
+        if np.ptp(y) <= 1e-14 * np.abs(y).max():
+            curve, misses = constant(float(y[0]), z.shape[1]), np.zeros(len(y))
+        else:
+            trials = _trials(tried, z, y, folds, seed, name)
+            scores = np.array([trial.r2 for trial in trials])
+            r2[k], error[k] = scores.mean(axis=1), scores.std(axis=1, ddof=1) / np.sqrt(scores.shape[1])
+            chosen[k] = as_good_as_the_best(scores)
+            curve, misses = trials[chosen[k]].curve, trials[chosen[k]].misses
+        labels.append(Label(scale, curve, misses, Reach.of(parameters, z)))
+    evidence = Evidence(tuple(one.name for one in tried), r2, error, chosen)
+    return assembled(given.names, given.units, given.inputs, labels, evidence)
 
 
 def _trials(tried: Sequence[_Regression], z: Array, y: Array, folds: int, seed: int, label: str) -> list[_Trial]:
-    if np.ptp(y) <= 1e-14 * np.abs(y).max():
-        still = _Trial(constant(float(y[0]), z.shape[1]), np.zeros(len(y)), np.ones(2))
-        return [still] * len(tried)
     part = folds_of(z, folds, seed)
     if part.max() == 0:
         raise InputError(f"label {label!r}: expected rows whose parameters differ, got one set of them {len(y)} times")
@@ -287,7 +288,7 @@ def _trials(tried: Sequence[_Regression], z: Array, y: Array, folds: int, seed: 
         square = (y - values) ** 2 / y.var()
         counts = np.bincount(part)
         by_part = np.bincount(part, square) * (len(counts) / len(y))  # so that their mean is that over all rows
-        trials.append(_Trial(curve, np.sort(np.abs(y - values) / np.maximum(deviations, 1e-300)), 1 - by_part))
+        trials.append(_Trial(curve, np.sort(np.abs(y - values) / deviations), 1 - by_part))
     return trials
 
 
@@ -299,6 +300,8 @@ def as_good_as_the_best(scores: Array) -> int:
     return int(np.argmax(behind.mean(axis=1) <= np.maximum(doubt, NEGLIGIBLE)))
 
 
-def _at_least(value: int, least: int, what: str) -> None:
+def _at_least(value: int, least: int, what: str, most: int | None = None) -> None:
     if value < least:
         raise InputError(f"{what}: expected at least {least}, got {value!r}")
+    if most is not None and value > most:
+        raise InputError(f"{what}: expected at most {most}, got {value!r}")

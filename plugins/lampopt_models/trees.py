@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -11,12 +12,14 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array
 
-from .curve import check_arrays
+from .curve import check_arrays, check_indices
 
 if TYPE_CHECKING:
     from sklearn.ensemble import HistGradientBoostingRegressor
 
 AT_ONCE = 2**21  # nodes visited together
+MOST_LEAVES = 4096  # of a tree
+_ALONE = Lock()  # scikit-learn changes the filters of warnings for a moment, which all threads share
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +50,20 @@ class Trees:
     kind: ClassVar[str] = "trees"
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.leaf)
-        check_arrays(self, start=(1,), column=shape, limit=shape, left=shape, right=shape, leaf=shape)
+        check_arrays(self, start=(1,), leaf=(None, None))
+        shape = self.leaf.shape
+        if not 1 <= shape[1] < 2 * MOST_LEAVES:
+            raise InputError(f"trees: expected 1 to {2 * MOST_LEAVES - 1} nodes, got {shape[1]}")
+        check_arrays(self, limit=shape)
+        check_indices(self, column=shape, left=shape, right=shape)
         onward = np.minimum(self.left, self.right) > np.arange(shape[1])
         if not (onward & (np.maximum(self.left, self.right) < shape[1]))[self.column >= 0].all():
             raise InputError("trees: expected nodes that lead on to later ones, got some that lead back or nowhere")
+
+    def check_inputs(self, d: int) -> None:
+        """Raise InputError if it asks about more than d parameters."""
+        if self.column.max(initial=-1) >= d:
+            raise InputError(f"column: expected {d} parameters, got number {self.column.max()}, counted from 0")
 
     def __call__(self, z: Array) -> Array:
         """Values (B,) at (B, d)."""
@@ -120,5 +132,5 @@ def boosted(z: Array, y: Array, trees: int, rate: float, leaves: int, seed: int)
         early_stopping=False,
         random_state=seed,
     )
-    with threadpool_limits(1, user_api="openmp"):  # tables are small: threads would wait for each other
+    with _ALONE, threadpool_limits(1, user_api="openmp"):  # tables are small: threads would wait for each other
         return exported(model.fit(z, y))

@@ -1,0 +1,99 @@
+"""What a study chooses: plugins by name, as a Spec or as an object; the same as TOML."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from lampopt.errors import InputError, StudyError
+from lampopt.protocols import Measure
+from lampopt.types import Scalar, Spec
+from lampopt.units import said
+
+GIVEN = "given-in-python"  # stands in TOML for a measure that was given as an object
+
+
+def names_of(value: object, what: str) -> tuple[str, ...]:
+    """`value` as names, each once. Raises StudyError naming `what`."""
+    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(v, str) for v in value):
+        raise StudyError(f"{what}: expected a list of names, got {said(value)}")
+    if twice := sorted(v for v, times in Counter(value).items() if times > 1):
+        raise StudyError(f"{what}: {', '.join(twice)} twice; name each once")
+    return tuple(value)
+
+
+def table_of(value: object, what: str) -> Mapping[str, Any]:
+    """`value` as a table by name. Raises StudyError naming `what`."""
+    if not isinstance(value, Mapping) or not all(isinstance(k, str) for k in value):
+        raise StudyError(f"{what}: expected a table of names and values, got {said(value)}")
+    return MappingProxyType(dict(value))
+
+
+def spec_of(table: Mapping[str, Scalar], what: str) -> Spec:
+    """The Spec that a TOML table with an entry `name` describes. Raises StudyError naming `what`."""
+    options = dict(table)
+    name = options.pop("name", None)
+    if not isinstance(name, str):
+        raise StudyError(f"{what}: expected a name, or a table with an entry `name`, got {said(dict(table))}")
+    try:
+        return Spec(name, **options)
+    except InputError as error:
+        raise StudyError(f"{what}: {error}") from error
+
+
+def measures_of(given: object) -> Mapping[str, Spec | Measure]:
+    """What is to be measured, by the name under which its values are reported."""
+    if isinstance(given, Measure) or (
+        isinstance(given, Sequence) and any(isinstance(choice, Spec | Measure) for choice in given)
+    ):
+        raise StudyError(
+            "measures: a measure that is given as an object or a Spec needs a name, under which its values are "
+            f"reported: expected a table such as {{'roof': ...}}, got {said(given)}"
+        )
+    if not isinstance(given, Mapping):
+        return MappingProxyType({name: Spec(name) for name in names_of(given, "measures")})
+    found: dict[str, Spec | Measure] = {}
+    for name, choice in table_of(given, "measures").items():
+        if "." in name or not name:
+            raise StudyError(f"measures: expected a name without dots, for values are called name.value, got {name!r}")
+        if isinstance(choice, str):
+            choice = Spec(choice)
+        elif isinstance(choice, type) or not isinstance(choice, Spec | Measure):
+            raise StudyError(
+                f"measures: {name}: expected the name of a measure, a Spec or a measure, got {said(choice)}"
+            )
+        found[name] = choice
+    return MappingProxyType(found)
+
+
+def written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict[str, Any]:
+    """For TOML: names alone where they say it all; an object by its class, which cannot be made again from it."""
+    if all(isinstance(choice, Spec) and choice == Spec(name) for name, choice in measures.items()):
+        return list(measures)
+    found: dict[str, Any] = {}
+    for name, choice in measures.items():
+        if isinstance(choice, Spec) and "name" in choice.options:
+            raise StudyError(f"measures: {name}: {choice} has an option `name`, which TOML could not tell from its own")
+        options = _absolute(choice).options if isinstance(choice, Spec) else {"of": _class(choice)}
+        found[name] = {"name": choice.name if isinstance(choice, Spec) else GIVEN, **options}
+    return found
+
+
+def beside(choice: Spec, folder: Path | None) -> Spec:
+    """`choice` with its option `file`, where it has one, taken from `folder`: as the bank's path is."""
+    file = choice.options.get("file")
+    if folder is None or not isinstance(file, str) or not file:
+        return choice
+    return Spec(choice.name, **{**choice.options, "file": str(folder / file)})
+
+
+def _absolute(choice: Spec) -> Spec:
+    """`choice` with its option `file` from the current folder: what is written may be read from another."""
+    return beside(choice, Path.cwd())
+
+
+def _class(value: object) -> str:
+    return f"{type(value).__module__}.{type(value).__qualname__}"
