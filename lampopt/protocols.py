@@ -214,6 +214,17 @@ class Interval(Protocol):
 
 
 @runtime_checkable
+class Uncertain(Protocol):
+    """A model that states its uncertainty and its range: what `Interval` is to a measure."""
+
+    def interval(self, parameters: Array, level: float) -> Array:
+        """(B, p, 2) low and high at coverage `level`, at parameters (B, d)."""
+
+    def outside(self, parameters: Array) -> Array:
+        """(B,) whether parameters (B, d) lie outside what the model was made for."""
+
+
+@runtime_checkable
 class CrossValidated(Protocol):
     """A fitted measure or model that knows how well it told what it had not been shown."""
 

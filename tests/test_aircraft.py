@@ -1,5 +1,7 @@
 """Measures of aircraft against wings in closed form, the family `bwb`, and marching cubes of it."""
 
+from functools import partial
+
 import igl
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from lampopt.protocols import Gradient
 from lampopt.testing import check_measure
 from lampopt_families.bwb import HIGH, LOW, THICKNESS, bwb_mesh, camber, half_thickness, stations
 from lampopt_measure.aircraft import Bwb, Stations, Wing, example_wing
+from lampopt_measure.silhouette import FrontalArea
 
 MIDDLE = (np.array(LOW) + HIGH) / 2
 HALF = (np.array(HIGH) - LOW) / 2
@@ -61,6 +64,13 @@ def cells(parameters, count):
     return mesh
 
 
+@pytest.fixture(scope="module")
+def cut():
+    """Parameters and marching cubes of one aircraft."""
+    (parameters,) = draws(1, 1, seed=5)
+    return parameters, cells(parameters, 64)
+
+
 def rectangle(span=3.0, chord=0.5, thickness=0.06):
     return trimesh.creation.box((chord, span, thickness))
 
@@ -91,6 +101,23 @@ def test_wing_of_the_family(half):
     span = 2 * at.y[-1]
     values = Wing()(bwb_mesh(MIDDLE, half=half))
     np.testing.assert_allclose(values, [span, area, span**2 / area, area / span], rtol=1e-6)
+
+
+def test_area_that_marching_cubes_cut_off(cut):
+    """Seen from above a hundredth of the area is gone; with the tails that the thickness tells a sixth of that is."""
+    parameters, mesh = cut
+    at = stations(parameters)
+    area = ((at.chord[1:] + at.chord[:-1]) * np.diff(at.y)).sum()
+    assert 2 * FrontalArea(forward="z", up="x")(mesh)[0] < 0.99 * area
+    assert Wing()(mesh)[1] == pytest.approx(area, rel=2.5e-3)
+
+
+def test_a_blunt_tail_ends_where_it_ends():
+    """The middle part of a wing whose last tenth is sawn off: what is there, nothing beyond."""
+    mesh = bwb_mesh(MIDDLE, chordwise=32, spanwise=50)
+    sawn = trimesh.intersections.slice_mesh_plane(mesh, (-1, 0, 0), (700, 0, 0), cap=True, engine="manifold")
+    measure = Wing(model="half")
+    np.testing.assert_allclose(measure(sawn)[1], 2 * FrontalArea(forward="z", up="x")(sawn)[0], rtol=1e-9)
 
 
 def test_a_left_half_is_as_good_as_a_right_one():
@@ -151,10 +178,10 @@ def test_kinks_are_exact_where_facets_are_fine(half):
     np.testing.assert_allclose(values[ORDER], MIDDLE, rtol=2e-5)
 
 
-def test_parameters_are_read_off_marching_cubes():
+def test_parameters_are_read_off_marching_cubes(cut):
     """Cells of 16 mm along the chord, which cut nose and tail short by up to 4; the values are right to a part of it"""
-    (parameters,) = draws(1, 1, seed=5)
-    values = Bwb()(cells(parameters, 64))[ORDER]
+    parameters, mesh = cut
+    values = Bwb()(mesh)[ORDER]
     np.testing.assert_allclose(values[:6], parameters[:6], atol=1.5)
     np.testing.assert_allclose(values[6:], parameters[6:], atol=0.2)
 
@@ -173,29 +200,47 @@ def test_a_few_bad_sections_do_not_matter():
 
 def test_gradient_is_the_inverse_of_the_family():
     """Along the change of the mesh by a parameter, that parameter's value grows by one and no other's does."""
-    mesh, step = bwb_mesh(MIDDLE), 1e-3
-    gradient = Bwb().gradient(mesh)[ORDER]
+    made = partial(bwb_mesh, chordwise=128, spanwise=50)
+    gradient, step = Bwb().gradient(made(MIDDLE))[ORDER], 1e-3
     changes = [
-        (bwb_mesh(MIDDLE + step * one).vertices - bwb_mesh(MIDDLE - step * one).vertices) / (2 * step)
-        for one in np.eye(9)
+        (made(MIDDLE + step * one).vertices - made(MIDDLE - step * one).vertices) / (2 * step) for one in np.eye(9)
     ]
     np.testing.assert_allclose(np.einsum("pvk,qvk->pq", gradient, changes), np.eye(9), atol=1e-3)
 
 
-@pytest.mark.parametrize("measure", [Wing(), Bwb()], ids=["wing", "bwb"])
-def test_gradient_against_central_differences(measure):
-    """A shear and a stretch that leave the plane of symmetry plane, as every change of a half model does."""
-    mesh = bwb_mesh(MIDDLE, spanwise=50)
-    assert isinstance(measure, Gradient)
-    vertices, step = np.asarray(mesh.vertices), 1e-4
-    move = vertices @ np.array([[0.3, 0, 0.02], [0.1, 0.4, 0.05], [0.02, 0, -0.2]])
+def differences(measure, mesh, move, step):
+    """Central differences of the values as the vertices move, (p,)."""
     ends = []
     for sign in (-1, 1):
         moved = mesh.copy()
-        moved.vertices = vertices + sign * step * move
+        moved.vertices = np.asarray(mesh.vertices) + sign * step * move
         ends.append(measure(moved))
-    slope = (ends[1] - ends[0]) / (2 * step)
-    np.testing.assert_allclose((measure.gradient(mesh) * move).sum(axis=(1, 2)), slope, rtol=1e-4, atol=1e-3)
+    return (ends[1] - ends[0]) / (2 * step)
+
+
+@pytest.mark.parametrize("measure", [Wing(), Stations(), Bwb()], ids=["wing", "stations", "bwb"])
+@pytest.mark.parametrize("half", [True, False])
+def test_gradient_against_central_differences(measure, half):
+    """Vertices of one y keep to one y: the plane of symmetry and a tip stay flat, of which a tilt has no derivative."""
+    draw = np.random.default_rng(17 + half)
+    mesh = bwb_mesh(MIDDLE + HALF * draw.uniform(-1, 1, 9), half=half, chordwise=48, spanwise=50)
+    assert isinstance(measure, Gradient)
+    x, y, z = (np.asarray(mesh.vertices) / np.ptp(mesh.vertices[:, 1])).T
+    a, b, c, d = draw.uniform(20, 60, 4)
+    move = np.stack(
+        [a * np.sin(3 * y) + b * x + c * z, d * y + c * np.sin(2 * y), b * z * np.cos(y) + a * x * y], axis=1
+    )
+    slope = differences(measure, mesh, move, 1e-5)
+    np.testing.assert_allclose((measure.gradient(mesh) * move).sum(axis=(1, 2)), slope, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("measure", [Wing(), Stations(), Bwb()], ids=["wing", "stations", "bwb"])
+def test_gradient_on_marching_cubes(measure, cut):
+    """A tapered stretch, on a mesh whose sections are ragged."""
+    x, y, z = np.asarray(cut[1].vertices).T / 1000
+    move = np.stack([30 * np.sin(2 * y) + 20 * x, 40 * y, 30 * z * (1 - y)], axis=1)
+    slope = differences(measure, cut[1], move, 1e-6)
+    np.testing.assert_allclose((measure.gradient(cut[1]) * move).sum(axis=(1, 2)), slope, rtol=1e-4, atol=1e-5)
 
 
 # all of them

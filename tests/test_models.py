@@ -2,6 +2,8 @@
 
 import importlib
 import sys
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import casadi
@@ -198,6 +200,12 @@ def test_trees_are_scikit_learns_to_the_last_bit(leaves):
     assert np.array_equal(exported(model)(at), model.predict(at))
 
 
+def test_trees_of_a_label_in_another_unit_are_the_same_trees():
+    z = np.random.default_rng(0).normal(size=(100, 3))
+    y = np.sin(z[:, 0]) + z[:, 1]
+    assert np.array_equal(2.0**300 * boosted(z, y, 20, 0.1, 4, 0)(z), boosted(z, 2.0**300 * y, 20, 0.1, 4, 0)(z))
+
+
 def test_trees_are_walked_in_pieces_as_at_once(monkeypatch):
     z = np.random.default_rng(0).normal(size=(100, 3))
     made = boosted(z, z[:, 0], 20, 0.1, 4, 0)
@@ -238,24 +246,91 @@ def test_texts_of_any_script_are_kept():
 
 def test_a_state_of_something_else_is_refused():
     x = drawn(30, 2)
-    state = dict(fit(BoostedTrees.example(), x, x[:, 0]).state())
-    cls = type(fit(BoostedTrees.example(), x, x[:, 0]))
-    back = np.zeros_like(state["0.left"])
-    text = np.frombuffer(b'{"names": ["a"]}', np.uint8)
+    model = fit(BoostedTrees.example(), x, x[:, 0])
+    state = dict(model.state())
+    back = np.zeros_like(state["0.curve.left"])
+    deep = np.frombuffer(b"[" * 100_000, np.uint8)
     spoilt = (
         {},
-        {k: v for k, v in state.items() if k != "centre"},
-        {**state, "text": text},
-        {**state, "0.left": back},
-        {**state, "0.extra": back},
-        {**state, "0.leaf": state["0.leaf"][:, 1:]},
-        {**state, "0.column": state["0.column"] + 5},
-        {**state, "rate": state["rate"][:1]},
-        {**state, "evidence.r2": np.full((1, 1), np.nan)},
+        {k: v for k, v in state.items() if k != "0.scale.centre"},
+        {**state, "text": np.frombuffer(b'{"names": ["a"]}', np.uint8)},
+        {**state, "text": deep},
+        {**state, "1.misses": state["0.misses"]},
+        {**state, "0.curve.left": back},
+        {**state, "0.curve.extra": back},
+        {**state, "0.curve.leaf": state["0.curve.leaf"][:, 1:]},
+        {**state, "0.curve.column": state["0.curve.column"] + 5},
+        {**state, "0.curve.column": state["0.curve.column"] + 0.5},
+        {**state, "0.scale.rate": state["0.scale.rate"][:1]},
+        {**state, "evidence.chosen": state["evidence.chosen"] + 1},
+        {**state, "evidence.r2": np.full((1, 1), np.inf)},
     )
     for made in spoilt:
         with pytest.raises(InputError):
-            cls.from_state(made)
+            type(model).from_state(made)
+
+
+def test_only_the_deepest_node_of_the_last_tree_asks_about_a_parameter_that_is_not_there():
+    """A walk at one place may never come there: every node is looked at when a state is read."""
+    x = drawn(60, 2)
+    model = fit(BoostedTrees.example(), x, wavy(np.column_stack([x, x])[:, :3]))
+    state = dict(model.state())
+    column = np.array(state["0.curve.column"])
+    column[-1, np.flatnonzero(column[-1] >= 0)[-1]] = 2
+    with pytest.raises(InputError, match="column: expected 2 parameters, got number 2"):
+        type(model).from_state({**state, "0.curve.column": column})
+
+
+def test_what_would_cost_gigabytes_is_refused():
+    x = drawn(30, 1)
+    model = fit(GaussianProcess.example(), x, np.sin(x))
+    many = {"0.curve.points": np.zeros((12_000, 1)), "0.curve.weights": np.zeros(12_000)}
+    with pytest.raises(InputError, match="process: expected 1 to 5000 rows, got 12000"):
+        type(model).from_state({**model.state(), **many})
+    chain = {name: np.zeros((1, 9000), int) for name in ("column", "left", "right")}
+    with pytest.raises(InputError, match="expected 1 to 8191 nodes, got 9000"):
+        Trees(np.zeros(1), limit=np.zeros((1, 9000)), leaf=np.zeros((1, 9000)), **chain)
+
+
+MUTATIONS = {
+    "empty": lambda a: a[:0],
+    "half": lambda a: a[: len(a) // 2],
+    "twice": lambda a: np.concatenate([a, a]),
+    "flat": lambda a: a.ravel(),
+    "deep": lambda a: a[None],
+    "turned": lambda a: a.T,
+    "wide": lambda a: np.stack([a, a], -1),
+    "gap": lambda a: np.full(a.shape, np.nan),
+    "endless": lambda a: np.full(a.shape, -np.inf),
+    "vast": lambda a: np.full(a.shape, 1e308),
+    "large": lambda a: np.full(a.shape, -1e90),
+    "negative": lambda a: -a.astype(float),
+    "nothing": np.zeros_like,
+    "bytes": lambda a: a.astype(float).astype(complex),
+    "text": lambda a: a.astype(str),
+}
+
+
+@by_name
+def test_damaged_states_are_refused_or_harmless(regression):
+    """Whatever an array is replaced by: refused with a reason, or a model that answers, of the right shapes."""
+    x = drawn(24, 2)
+    model = fit(regression, x, np.stack([x[:, 0] ** 2, x[:, 1]], 1))
+    state, at, harmless = model.state(), drawn(3, 2, 1), 0
+    for name in state:
+        for mutate in MUTATIONS.values():
+            try:
+                again = type(model).from_state({**state, name: mutate(np.array(state[name]))})
+                low, high = np.moveaxis(again.interval(at, 0.8), 2, 0)
+                told, slopes, beyond = again(at), again.gradient(at), again.outside(at)
+            except InputError:
+                continue
+            harmless += 1
+            assert (told.shape, slopes.shape, beyond.shape) == ((3, 2), (3, 2, 2), (3,))
+            assert np.isfinite(told).all()
+            assert np.isfinite(slopes).all()
+            assert (low <= high).all()
+    assert harmless < 0.5 * len(state) * len(MUTATIONS)
 
 
 @smooth
@@ -298,6 +373,31 @@ def test_interval_covers_as_often_as_it_says(regression):
     assert abs(most - 0.9) < 0.05
 
 
+@pytest.mark.parametrize("noise", [1.0, 0.2, 0.0])
+def test_process_is_honest_on_small_tables(noise):
+    """40 rows of 8 parameters without meaning, or of 3 with: no skill is claimed that is not there."""
+    claimed, true, covered = [], [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        x, at = (rng.uniform(-1, 1, (rows, 8 if noise == 1 else 3)) for rows in (40, 400))
+        y, truth = ((noise < 1) * np.sin(2 * z[:, 0] + z[:, 1]) + noise * rng.normal(size=len(z)) for z in (x, at))
+        model = fit(GaussianProcess(), x, y, seed)
+        claimed.append(model.evidence.r2[0, 0])
+        true.append(1 - ((model(at)[:, 0] - truth) ** 2).mean() / truth.var())
+        low, high = model.interval(at, 0.9)[:, 0].T
+        covered.append(((low <= truth) & (truth <= high)).mean())
+    assert np.mean(claimed) < np.mean(true) + 0.03
+    assert max(claimed) < 0.1 or noise < 1
+    assert 0.85 < np.mean(covered) < 0.96
+
+
+def test_best_claims_no_skill_on_noise():
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        model = fit(Best(folds=5), rng.normal(size=(40, 8)), rng.normal(size=40))
+        assert model.cross_validated["y0"]["r2"] < 0.1
+
+
 def test_interval_is_infinite_where_rows_are_too_few():
     model = fit(Linear(), drawn(12, 1), np.random.default_rng(0).normal(size=12))
     assert np.isinf(model.interval(drawn(2, 1), 0.95)).all()
@@ -322,6 +422,24 @@ def test_outside_is_rare_within_and_sure_beyond(n, d):
     beyond = beyond[np.abs(beyond).max(axis=1) > 1.3]
     assert model.outside(beyond).mean() >= 0.95
     assert model.outside(1.5 * np.eye(d)).all()
+
+
+def test_outside_asks_about_the_rows_of_each_label():
+    x = np.random.default_rng(0).uniform(-1, 1, (120, 2))
+    half = np.where(x[:, 0] < 0, x[:, 1], np.nan)
+    at = np.array([[-0.5, 0.5], [0.5, 0.5], [1.5, 0.5]])
+    for regression in QUICK[:2]:
+        assert fit(regression, x, x[:, 1]).outside(at).tolist() == [False, False, True]
+        assert fit(regression, x, half).outside(at).tolist() == [False, True, True]
+        assert fit(regression, x, np.stack([x[:, 1], half], 1)).outside(at).tolist() == [False, True, True]
+
+
+def test_rows_without_a_label_have_no_say_in_it():
+    x = drawn(60, 2)
+    far = np.concatenate([x, 1e6 * x])
+    for regression in QUICK:
+        with_them = fit(regression, far, np.append(x[:, 0], np.full(60, np.nan)))
+        assert np.array_equal(with_them(x), fit(regression, x, x[:, 0])(x))
 
 
 def test_corners_and_flats_that_no_row_comes_near_are_outside():
@@ -408,6 +526,8 @@ def test_a_constant_label_is_that_constant(regression):
     assert (model(x * 3) == 4.2).all()
     assert not model.gradient(x).any()
     assert (model.interval(x, 0.9) == 4.2).all()
+    assert np.isnan(model.cross_validated["y0"]["r2"])
+    assert np.isnan(type(model).from_state(model.state()).cross_validated["y0"]["r2"])
 
 
 @by_name
@@ -416,6 +536,39 @@ def test_gaps_count_for_their_label_alone(regression):
     gaps = np.stack([x[:, 0], np.where(np.arange(40) < 25, x[:, 1], np.nan)], 1)
     full = fit(regression, x, np.stack([x[:, 0], x[:, 1]], 1))
     assert np.array_equal(fit(regression, x, gaps)(x)[:, 0], full(x)[:, 0])
+
+
+@by_name
+@pytest.mark.parametrize("odd", ["collinear", "twins", "outlier", "large", "small", "far", "three rows", "one column"])
+def test_odd_tables_are_learned_without_a_murmur(regression, odd):
+    """Warnings are errors here."""
+    x = np.random.default_rng(0).normal(size=(14, 3))
+    y = x[:, 0] + 0.1 * x[:, 1]
+    x[:, 2] = x[:, 0] * (1 + 1e-12) if odd == "collinear" else x[:, 2]
+    x, y = (np.tile(x[:5], (3, 1)), np.tile(y[:5], 3)) if odd == "twins" else (x, y)
+    y = np.where(np.arange(len(y)) == 0, 1e50, y) if odd == "outlier" else y
+    x, y = {"large": (x * 1e99, y * 1e99), "small": (x * 1e-99, y * 1e-99), "far": (x + 1e9, y + 1e9)}.get(odd, (x, y))
+    x, y = {"three rows": (x[:3], y[:3]), "one column": (x[:, :1], y)}.get(odd, (x, y))
+    model = fit(regression, x, y)
+    assert np.isfinite(model(x)).all()
+    assert np.isfinite(model.gradient(x)).all()
+    assert not np.isnan(model.interval(x, 0.5)).any()
+    assert not model.outside(x).any()
+    for asked in (model, model.gradient, model.outside):
+        for value in (1e300, -1e300, np.inf, np.nan):
+            with pytest.raises(InputError, match="parameters"):
+                asked(np.full((2, x.shape[1]), value))
+
+
+def test_fits_in_threads_are_those_of_one_and_leave_the_filters_of_warnings():
+    x = drawn(40, 3)
+    jobs = [(regression, seed) for regression in QUICK for seed in range(4)]
+    alone = [fit(regression, x, wavy(x), seed)(x) for regression, seed in jobs]
+    before = list(warnings.filters)
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(lambda job: fit(job[0], x, wavy(x), job[1])(x), jobs))
+    assert warnings.filters == before
+    assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))
 
 
 def test_a_larger_table_is_drawn_from():
@@ -466,6 +619,9 @@ def test_wrong_input_is_refused():
         lambda: Linear(folds=1),
         lambda: GaussianProcess(search=2),
         lambda: GaussianProcess(most=2),
+        lambda: GaussianProcess(most=20_000),
+        lambda: GaussianProcess(anew=-1),
+        lambda: BoostedTrees(leaves=10_000),
         lambda: BoostedTrees(trees=0),
         lambda: BoostedTrees(leaves=1),
         lambda: BoostedTrees(rate=0.0),

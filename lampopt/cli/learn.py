@@ -8,6 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
+from lampopt.check import LEVEL
 from lampopt.cli.answer import Answer, Group
 from lampopt.cli.options import can_be_written, numbers, spec
 from lampopt.cli.show import number, table
@@ -17,7 +18,7 @@ from lampopt.fitted import fit_model, fit_surrogate, load_model
 from lampopt.lamp import load_bank
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
-from lampopt.protocols import CrossValidated, Measure, Model
+from lampopt.protocols import CrossValidated, Measure, Model, Uncertain
 from lampopt.types import Bank, Exemplars
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -129,14 +130,33 @@ def predict(file: Path, values: tuple[str, ...]) -> Answer:
         lampopt model predict drag.model --at roof=1.4 --at ramp=12
     """
     found, given = load_model(file), numbers("--at", values)
-    if set(given) != set(found.inputs):
-        missing, unknown = sorted(set(found.inputs) - set(given)), sorted(set(given) - set(found.inputs))
-        raise InputError(f"--at: expected {', '.join(found.inputs)}; missing are {missing}, unknown are {unknown}")
-    answer = np.asarray(found(np.array([[given[name] for name in found.inputs]])))[0].tolist()
-    told = list(zip(found.names, answer, found.units, strict=True))
-    shown = table(str(file), ("label", "value", "unit"), [(name, number(value), unit) for name, value, unit in told])
-    document = {name: {"value": value, "unit": unit} for name, value, unit in told}
-    return Answer({"model": str(file), "values": document}, [shown])
+    missing, unknown = sorted(set(found.inputs) - set(given)), sorted(set(given) - set(found.inputs))
+    if missing or unknown:
+        wrong = [
+            f"{what} are {', '.join(names)}" for what, names in (("missing", missing), ("unknown", unknown)) if names
+        ]
+        raise InputError(f"--at: expected {', '.join(found.inputs)}; {'; '.join(wrong)}")
+    at = np.array([[given[name] for name in found.inputs]])
+    told = dict(zip(found.names, np.asarray(found(at))[0].tolist(), strict=True))
+    units = dict(zip(found.names, found.units, strict=True))
+    document: dict[str, Any] = {
+        "model": str(file),
+        "at": given,
+        "values": {name: {"value": value, "unit": units[name]} for name, value in told.items()},
+    }
+    heads, warned = ["label", "value", "unit"], []
+    rows = [[name, number(value), units[name]] for name, value in told.items()]
+    if isinstance(found, Uncertain):
+        document["outside"] = bool(found.outside(at)[0])
+        heads.append(f"{LEVEL:.0%} interval")
+        for row, name, (low, high) in zip(rows, told, found.interval(at, LEVEL)[0].tolist(), strict=True):
+            document["values"][name]["interval"] = [low, high]
+            row.append(f"{number(low)} to {number(high)}")
+        if document["outside"]:
+            said = [
+                "these parameters are outside what the model was fitted to: neither value nor interval is to be trusted"
+            ]
+    return Answer(document, [table(str(file), heads, rows, right=("value",)), *said])
 
 
 def _told(made: Measure | Model, name: str, out: Path, count: int) -> Answer:

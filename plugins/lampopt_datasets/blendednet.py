@@ -15,6 +15,7 @@ from lampopt.reading import brief, content
 from lampopt.types import Array, Exemplars
 
 from .download import Download, check_size, few, named_options, space
+from .example import temporary
 from .meshes import MeshFiles
 
 TITLE = "blendednet"
@@ -79,7 +80,13 @@ class BlendedNet:
     @staticmethod
     def example() -> BlendedNet:
         """Three boxes laid out as the dataset is, in a temporary folder that is removed when Python ends."""
-        return BlendedNet(str(_made()))
+        values = dict(zip(PLANFORM, (150, 100, 400, 700, 200, 75, 50, 50, 30), strict=True))
+        sections, lines = [], [f"#case_name geom_name {' '.join(FLIGHT)} beta_deg {' '.join(COEFFICIENTS)}"]
+        for i in range(3):
+            sections += [f"[geom_{i}]", *(f"{name} = {value}" for name, value in {**values, "B1": 150 + i}.items())]
+            lines += [f"case_{2 * i + k:04d} geom_{i} 10 1e7 0.3 {4 * k} 0 {0.1 + 0.3 * k} 0.01 -0.02" for k in (0, 1)]
+        boxes = {f"train/vtk/case_{2 * i:04d}.stl": (1.0 + 0.1 * i, 0.8, 0.1) for i in range(3)}
+        return BlendedNet(str(temporary(TITLE, boxes, {f"train/{GEOMETRY}": sections, f"train/{CASES}": lines})))
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes load on access. Raises InputError naming what is missing or cannot be used."""
@@ -235,25 +242,3 @@ def _matrix(rows: Sequence[Mapping[str, float]], names: Sequence[str], *, gaps: 
     if lacking and not gaps:
         raise InputError(f"{TITLE}: expected a number of {', '.join(lacking)} in every row, got some without")
     return matrix
-
-
-def _made() -> Path:
-    """A temporary folder laid out as the dataset is, with a box for each aircraft."""
-    import atexit
-    from shutil import rmtree
-    from tempfile import mkdtemp
-
-    from trimesh.creation import box
-
-    folder = Path(mkdtemp(prefix="lampopt-blendednet-"))
-    atexit.register(rmtree, folder, ignore_errors=True)
-    (folder / "train" / "vtk").mkdir(parents=True)
-    sections, lines = [], [f"#case_name geom_name {' '.join(FLIGHT)} beta_deg {' '.join(COEFFICIENTS)}"]
-    for i in range(3):
-        box((1.0 + 0.1 * i, 0.8, 0.1)).export(folder / "train" / "vtk" / f"case_{2 * i:04d}.stl")
-        planform = zip(PLANFORM, (150 + i, 100, 400, 700, 200, 75, 50, 50, 30), strict=True)
-        sections.append(f"[geom_{i}]\nC1 = 1000\n" + "\n".join(f"{name} = {value}" for name, value in planform))
-        lines += [f"case_{2 * i + k:04d} geom_{i} 10 1e7 0.3 {4 * k} 0 {0.1 + 0.3 * k} 0.01 -0.02" for k in range(2)]
-    (folder / "train" / GEOMETRY).write_text("\n".join(sections) + "\n", encoding="utf-8")
-    (folder / "train" / CASES).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return folder

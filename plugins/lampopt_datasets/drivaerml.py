@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from lampopt.types import Exemplars
 
 from .columns import Column
 from .download import Download, check_size, few, named_options, picked, space, values
+from .example import temporary
 from .meshes import MeshFiles
 
 TITLE = "drivaerml"
@@ -63,7 +63,10 @@ class DrivAerML:
     @staticmethod
     def example() -> DrivAerML:
         """Three boxes laid out as the dataset is, in a temporary folder that is removed when Python ends."""
-        return DrivAerML(str(_made()))
+        forces = ("run,cd,cl,clf,clr,cs", "1,0.29,0.05,0,0.05,0", "2,0.30,0.05,0,0.05,0")
+        geometry = ("Run, Vehicle_Length, Vehicle_Pitch", "1,100,0.1", "2,200,0.2", "3,300,0.3")
+        boxes = {f"run_{run}/drivaer_{run}.stl": (4.6 + 0.1 * run, 1.8, 1.4) for run in (1, 2, 3)}
+        return DrivAerML(str(temporary(TITLE, boxes, {GEOMETRY: geometry, FORCES["constant"]: forces})))
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes load on access. Raises InputError naming what is missing or cannot be used."""
@@ -111,24 +114,3 @@ def _runs(table: dict[str, Column], heading: str, file: str) -> list[int]:
     if (numbers != runs).any() or len(set(runs)) < len(runs):
         raise InputError(f"{TITLE}: {file}: expected a run of its own in each row, got {few(numbers.tolist())}")
     return runs
-
-
-def _made() -> Path:
-    """A temporary folder laid out as the dataset is, with a box for each car."""
-    import atexit
-    from shutil import rmtree
-    from tempfile import mkdtemp
-
-    from trimesh.creation import box
-
-    folder = Path(mkdtemp(prefix="lampopt-drivaerml-"))
-    atexit.register(rmtree, folder, ignore_errors=True)
-    geometry, forces = ["Run, Vehicle_Length, Vehicle_Pitch"], ["run,cd,cl,clf,clr,cs"]
-    for run in (1, 2, 3):
-        (folder / f"run_{run}").mkdir()
-        box((4.6 + 0.1 * run, 1.8, 1.4)).export(folder / f"run_{run}" / f"drivaer_{run}.stl")
-        geometry.append(f"{run},{100 * run},{0.1 * run}")
-        forces.append(f"{run},{0.28 + 0.01 * run},0.05,0,0.05,0")
-    (folder / GEOMETRY).write_text("\n".join(geometry) + "\n", encoding="utf-8")
-    (folder / FORCES["constant"]).write_text("\n".join(forces[:3]) + "\n", encoding="utf-8")
-    return folder

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from lampopt.types import Array, Exemplars
 
 from .columns import Column
 from .download import Download, check_size, few, named_options, space, values
+from .example import temporary
 from .meshes import MeshFiles
 
 PLACE = (
@@ -102,7 +103,7 @@ class DrivAerNetPlus:
     @staticmethod
     def example() -> DrivAerNetPlus:
         """Three boxes laid out as the dataset is, in a temporary folder that is removed when Python ends."""
-        return DrivAerNetPlus(str(_made(("E_S_WW_WM_001", "E_S_WW_WM_002", "N_S_WWS_WM_010"))))
+        return DrivAerNetPlus(_made(("E_S_WW_WM_001", "E_S_WW_WM_002", "N_S_WWS_WM_010")))
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes load on access. Raises InputError naming what is missing or cannot be used."""
@@ -133,7 +134,7 @@ class DrivAerNet:
     def example() -> DrivAerNet:
         """As `DrivAerNetPlus.example`, with parameters."""
         names = ("F_D_WM_WW_0001", "F_D_WM_WW_0002", "F_D_WM_WW_0004")
-        return DrivAerNet(str(_made(names)), parameters=True)
+        return DrivAerNet(_made(names), parameters=True)
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes load on access. Raises InputError naming what is missing or cannot be used."""
@@ -212,7 +213,7 @@ def _tables(download: Download, parameters: bool) -> list[tuple[list[Key], dict[
             raise InputError(f"{download.title}: {download.named(*names)}: no id such as E_S_WW_WM_007 in {few(wrong)}")
         known = [design for design in ids if design is not None]
         if len(set(known)) < len(known):
-            twice = [_name(design) for design in dict.fromkeys(known) if known.count(design) > 1]
+            twice = [_name(design) for design, rows in Counter(known).items() if rows > 1]
             raise InputError(f"{download.title}: {download.named(*names)}: designs with two rows ({few(twice)})")
         tables.append((known, columns))
     if not tables:
@@ -252,25 +253,14 @@ def _labels(
     return names, np.column_stack([found[name] for name in names]) if names else np.empty((len(designs), 0))
 
 
-def _made(names: Sequence[str]) -> Path:
-    """A temporary folder laid out as the dataset is, with a box for each car."""
-    import atexit
-    from shutil import rmtree
-    from tempfile import mkdtemp
-
-    from trimesh.creation import box
-
-    folder = Path(mkdtemp(prefix="lampopt-drivaernet-"))
-    atexit.register(rmtree, folder, ignore_errors=True)
-    for part in ("DrivAerNet_STLs_Combined", "train_val_test_splits", "ParametricModels"):
-        (folder / part).mkdir()
-    lines, drag = ["Experiment,A_Car_Length,B_Ramp_Angle,Average Cd"], ["Design,Average Cd"]
-    for i, name in enumerate(names):
-        box((4.6 + 0.04 * i, 1.8, 1.4)).export(folder / "DrivAerNet_STLs_Combined" / f"DrivAer_{name}.stl")
-        lines.append(f"{name},{40 * i},{i - 1},{0.25 + 0.01 * i}")
-        drag.append(f"{name},{0.25 + 0.01 * i}")
-    (folder / "ParametricModels" / PARAMETERS[0]).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    (folder / COEFFICIENTS[0]).write_text("\n".join(drag) + "\n", encoding="utf-8")
-    for split, name in zip(SPLITS[:3], names, strict=True):
-        (folder / "train_val_test_splits" / f"{split}_design_ids.txt").write_text(f"{name}\n", encoding="utf-8")
-    return folder
+def _made(names: Sequence[str]) -> str:
+    """A temporary folder laid out as the dataset is, with a box for each car; one a split."""
+    lists = {f"train_val_test_splits/{s}_design_ids.txt": (n,) for s, n in zip(SPLITS[:3], names, strict=True)}
+    rows = [f"{name},{40 * i},{i - 1},{0.25 + 0.01 * i}" for i, name in enumerate(names)]
+    drag = [f"{name},{0.25 + 0.01 * i}" for i, name in enumerate(names)]
+    tables = {
+        PARAMETERS[0]: ("Experiment,A_Car_Length,B_Ramp_Angle,Average Cd", *rows),
+        COEFFICIENTS[0]: ("Design,Average Cd", *drag),
+    }
+    boxes = {f"3DMeshesSTL/DrivAer_{name}.stl": (4.6 + 0.04 * i, 1.8, 1.4) for i, name in enumerate(names)}
+    return str(temporary("drivaernet", boxes, {**tables, **lists}))

@@ -16,13 +16,14 @@ from lampopt.measured import following_ratio
 from lampopt.reading import brief, plain_file
 from lampopt.types import Array, Bank, Check, Exemplars, Parameter, Result
 
+from .example import temporary
+
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 VALUES = ("predicted", "measured")
 HELD = 1e-3  # of the bank's range: a parameter that varies by less was held, what remains is rounding
 VARIED = 0.25  # of the bank's range: only where it varies by that much does a measurement follow it clearly
-TEMPORARY = "lampopt-run-"
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,9 @@ class Run:
     @staticmethod
     def example() -> Run:
         """Three designs of ellipsoids in a temporary folder that is removed when Python ends, for `lampopt.testing`."""
-        import atexit
-        from shutil import rmtree
-        from tempfile import mkdtemp
-
         from trimesh.creation import icosphere
 
-        folder = Path(mkdtemp(prefix=TEMPORARY))
-        atexit.register(rmtree, folder, ignore_errors=True)
+        folder = temporary("run")
         lengths = np.array([1.6, 2.0, 2.4])
         meshes = [icosphere(subdivisions=3) for _ in lengths]
         for mesh, length in zip(meshes, lengths, strict=True):

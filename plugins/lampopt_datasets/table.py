@@ -18,6 +18,7 @@ from lampopt.meshfile import SUFFIXES
 from lampopt.types import Array, Exemplars, Parameter
 
 from .columns import Column, columns, first, name_and_unit, read
+from .example import temporary
 from .meshes import MeshFiles, inside
 
 log = logging.getLogger("lampopt")
@@ -56,21 +57,10 @@ class Table:
     @staticmethod
     def example() -> Table:
         """Three boxes in a temporary folder, which is removed when Python ends: for `lampopt.testing.check_plugin`."""
-        import atexit
-        from shutil import rmtree
-        from tempfile import mkdtemp
-
-        from trimesh.creation import box
-
-        folder = Path(mkdtemp(prefix="lampopt-table-"))
-        atexit.register(rmtree, folder, ignore_errors=True)
-        lines = ["mesh,length [m],drag"]
-        for name, length, drag in (("short", 1.0, "0.31"), ("middle", 1.5, ""), ("long", 2.0, "0.27")):
-            box((length, 1.0, 0.5)).export(folder / f"{name}.ply")
-            lines.append(f"{name}.ply,{length},{drag}")
-        table = folder / "boxes.csv"
-        table.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return Table(str(table), labels="drag")
+        lengths = {"short.ply": 1.0, "middle.ply": 1.5, "long.ply": 2.0}
+        rows = ("mesh,length [m],drag", "short.ply,1.0,0.31", "middle.ply,1.5,", "long.ply,2.0,0.27")
+        boxes = {file: (length, 1.0, 0.5) for file, length in lengths.items()}
+        return Table(str(temporary("table", boxes, {"boxes.csv": rows}) / "boxes.csv"), labels="drag")
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes load on access.

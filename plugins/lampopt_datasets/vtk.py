@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ TYPES = {
 TRIANGLE, POLYGON, QUAD = 5, 7, 9  # kinds of cells that are surfaces
 FLAT = (1, 2, 3, 4)  # vertices and lines
 LONGEST_LINE = 256
+LONGEST_NUMBER = 64  # characters of text, blanks beside it included
 
 
 def load_vtk(path: Path) -> Trimesh:
@@ -81,11 +83,34 @@ class _Cursor:
             found = np.frombuffer(self.data, dtype, count, self.place)
             self.place += count * dtype.itemsize
             return found.astype(dtype.newbyteorder("="))
-        *words, rest = [*self.data[self.place :].split(None, count), b""][: count + 1]
-        if len(words) < count:
-            raise InputError("it is cut short")
-        self.place = len(self.data) - len(rest)
-        return np.array(words).astype(float if dtype.kind == "f" else np.int64)
+        end = self.place + LONGEST_NUMBER * (count + 1)  # not all that follows: there may be many short arrays
+        *words, rest = [*self.data[self.place : end].split(None, count), b""][: count + 1]
+        if len(words) < count or (not rest and end < len(self.data)):
+            raise InputError("it is cut short" if end >= len(self.data) else "expected numbers between single blanks")
+        self.place = min(end, len(self.data)) - len(rest)
+        if dtype.kind == "f":
+            return np.fromiter(map(float, words), float, count)
+        return np.fromiter(map(int, words), np.int64, count)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells one behind the other: those of cell k are ``corners[ends[k] : ends[k + 1]]``."""
+
+    corners: Array  # (n,)
+    ends: Array  # (c + 1,) from 0 to n
+
+    def __len__(self) -> int:
+        return len(self.ends) - 1
+
+    def triangles(self, chosen: Array | slice = slice(None)) -> Array:
+        """(F, 3): each of the `chosen` polygons as a fan from its first corner."""
+        first, sizes = self.ends[:-1][chosen], np.diff(self.ends)[chosen]
+        fans = np.maximum(sizes - 2, 0)
+        first = np.repeat(first, fans)
+        step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
+        faces: Array = self.corners[np.stack([first, first + step + 1, first + step + 2], axis=1)]
+        return faces.astype(np.int64)
 
 
 def _read(data: bytes) -> tuple[Array, Array]:
@@ -102,7 +127,7 @@ def _read(data: bytes) -> tuple[Array, Array]:
     dataset = cursor.line().upper().split()
     if dataset not in (["DATASET", "POLYDATA"], ["DATASET", "UNSTRUCTURED_GRID"]):
         raise InputError(f"expected DATASET POLYDATA or UNSTRUCTURED_GRID, got {brief(' '.join(dataset))!r}")
-    vertices, cells, kinds = np.empty((0, 3)), [], np.empty(0, int)
+    vertices, cells, kinds = np.empty((0, 3)), _Cells(np.empty(0, int), np.zeros(1, int)), np.empty(0, int)
     while line := cursor.line():
         word, *rest = line.split()
         section = word.upper()
@@ -122,7 +147,7 @@ def _read(data: bytes) -> tuple[Array, Array]:
             _skip_metadata(cursor)
         else:
             raise InputError(f"expected points and polygons, got the section {brief(word)!r}")
-    faces = _triangles(_surfaces(cells, kinds) if dataset[1] == "UNSTRUCTURED_GRID" else cells)
+    faces = cells.triangles(_surfaces(cells, kinds) if dataset[1] == "UNSTRUCTURED_GRID" else slice(None))
     if len(faces) == 0:
         raise InputError("expected polygons, got none")
     if faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
@@ -130,43 +155,45 @@ def _read(data: bytes) -> tuple[Array, Array]:
     return vertices, faces
 
 
-def _cells(cursor: _Cursor, count: int, size: int) -> list[Array]:
+def _cells(cursor: _Cursor, count: int, size: int) -> _Cells:
     """The corners of each cell: in version 5 as offsets and connectivity, before as counts among the corners."""
     start = cursor.place
     following = cursor.line().split()
     if following and following[0].upper() == "OFFSETS":
         ends = cursor.numbers(count, following[1])
         corners = cursor.numbers(size, cursor.line().split()[1])
-        return np.split(corners, ends[1:-1])
+        if count == 0 or ends[0] != 0 or ends[-1] != size or (np.diff(ends) < 0).any():
+            raise InputError(f"expected offsets of cells that rise from 0 to {size:,}, got others")
+        return _Cells(corners, ends)
     cursor.place = start
     numbers = cursor.numbers(size, "int")
-    cells: list[Array] = []
-    place = 0
+    counts = _counts(numbers.tolist(), count)
+    corners = np.delete(numbers, counts)
+    return _Cells(corners, np.r_[counts - np.arange(count), len(corners)])
+
+
+def _counts(numbers: list[int], count: int) -> Array:
+    """(count,) places of the numbers that say how many corners follow."""
+    places, place = [], 0
     for _ in range(count):
-        width = int(numbers[place])
-        if width < 0:
-            raise InputError("expected cells with corners")
-        cells.append(numbers[place + 1 : place + 1 + width])
-        place += 1 + width
-    return cells
+        if place >= len(numbers) or numbers[place] < 0:
+            break
+        places.append(place)
+        place += 1 + numbers[place]
+    if len(places) != count or place != len(numbers):
+        raise InputError(
+            f"expected {count:,} cells in {len(numbers):,} numbers, got cells cut short or numbers left over"
+        )
+    return np.array(places, int)
 
 
-def _surfaces(cells: list[Array], kinds: Array) -> list[Array]:
+def _surfaces(cells: _Cells, kinds: Array) -> Array:
+    """Which cells are surfaces."""
     if len(kinds) != len(cells):
         raise InputError(f"expected a type for each of {len(cells):,} cells, got {len(kinds):,}")
     if strange := sorted(set(kinds.tolist()) - {TRIANGLE, POLYGON, QUAD, *FLAT}):
         raise InputError(f"expected a surface of triangles, quads and polygons, got cells of type {strange}")
-    return [cell for cell, kind in zip(cells, kinds, strict=True) if kind not in FLAT]
-
-
-def _triangles(cells: list[Array]) -> Array:
-    """(F, 3): each polygon as a fan from its first corner."""
-    sizes = np.array([len(cell) for cell in cells], int)
-    parts = [np.empty((0, 3), int)]
-    for size in np.unique(sizes[sizes >= 3]):
-        same = np.stack([cell for cell in cells if len(cell) == size])
-        parts += [same[:, [0, k, k + 1]] for k in range(1, size - 1)]
-    return np.concatenate(parts).astype(np.int64)
+    return ~np.isin(kinds, FLAT)
 
 
 def _skip_field(cursor: _Cursor, arrays: int) -> None:

@@ -97,8 +97,8 @@ class Trees:
         return total
 
 
-def exported(model: HistGradientBoostingRegressor) -> Trees:
-    """The trees of a fitted model without categories or missing values."""
+def exported(model: HistGradientBoostingRegressor, unit: float = 1.0) -> Trees:
+    """The trees of a fitted model without categories or missing values, whose labels are told in this `unit`."""
     tables = [tree.nodes for (tree,) in model._predictors]  # scikit-learn offers them no other way
     most = max((len(table) for table in tables), default=1)
 
@@ -109,20 +109,21 @@ def exported(model: HistGradientBoostingRegressor) -> Trees:
         return out
 
     return Trees(
-        np.array(model._baseline_prediction, float).reshape(1),
+        unit * np.array(model._baseline_prediction, float).reshape(1),
         padded("feature_idx", np.int32, -1),
         padded("num_threshold", float, 0.0),
         padded("left", np.int32, 0),
         padded("right", np.int32, 0),
-        padded("value", float, 0.0),
+        unit * padded("value", float, 0.0),
     )
 
 
 def boosted(z: Array, y: Array, trees: int, rate: float, leaves: int, seed: int) -> Trees:
-    """Trees fitted to y (n,) at z (n, d) one after the other, each to what is left (Friedman, 2001)."""
+    """Trees fitted to y (n,), not all equal, at z (n, d) one after the other, each to what is left (Friedman, 2001)."""
     from sklearn.ensemble import HistGradientBoostingRegressor
     from threadpoolctl import threadpool_limits
 
+    unit = float(np.exp2(np.round(np.log2(y.std()))))  # it reckons in single precision; powers of two change no digit
     model = HistGradientBoostingRegressor(
         learning_rate=rate,
         max_iter=trees,
@@ -133,4 +134,4 @@ def boosted(z: Array, y: Array, trees: int, rate: float, leaves: int, seed: int)
         random_state=seed,
     )
     with _ALONE, threadpool_limits(1, user_api="openmp"):  # tables are small: threads would wait for each other
-        return exported(model.fit(z, y))
+        return exported(model.fit(z, y / unit), unit)
