@@ -153,10 +153,8 @@ def predict(file: Path, values: tuple[str, ...]) -> Answer:
             document["values"][name]["interval"] = [low, high]
             row.append(f"{number(low)} to {number(high)}")
         if document["outside"]:
-            said = [
-                "these parameters are outside what the model was fitted to: neither value nor interval is to be trusted"
-            ]
-    return Answer(document, [table(str(file), heads, rows, right=("value",)), *said])
+            warned = ["outside what the model was fitted to: neither value nor interval is to be trusted"]
+    return Answer(document, [table(str(file), heads, rows, right=("value",)), *warned])
 
 
 def _told(made: Measure | Model, name: str, out: Path, count: int) -> Answer:

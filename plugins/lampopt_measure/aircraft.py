@@ -78,7 +78,11 @@ class Wing:
         return np.array([span, area, span**2 / area, area / span])
 
     def gradient(self, mesh: Trimesh) -> Array:
-        """Derivatives by the vertices (4, V, 3); tips that tie share theirs. Raises EmptyMesh, MeasureError."""
+        """Derivatives by the vertices (4, V, 3). Raises EmptyMesh, MeasureError.
+
+        Vertices that tie for a tip share its derivative, those of a flat root by area: moved as a whole either end has
+        a derivative, of a tilt of a flat tip it has none.
+        """
         span, area, found = self._measured(mesh, follow=("tail", "last"))
         halves, lost = found.halves, self._lost(found)
         by_span = np.zeros((len(halves.vertices), 3))
@@ -215,7 +219,11 @@ class Bwb:
         return planform(Halves.of(mesh, self.model))[0]
 
     def gradient(self, mesh: Trimesh) -> Array:
-        """Derivatives by the vertices (10, V, 3); which sections count is taken as constant. Raises as a call does."""
+        """Derivatives by the vertices (10, V, 3). Raises as a call does.
+
+        Which sections count is taken as constant. Vertices that tie for a tip share its derivative, those of a flat
+        root by area: moved as a whole either end has a derivative, of a tilt of a flat tip it has none.
+        """
         gradient = planform(Halves.of(mesh, self.model), derivative=True)[1]
         if not np.isfinite(gradient).all():
             raise MeasureError("bwb: expected a smooth wing, got one whose values have no derivative by the vertices")

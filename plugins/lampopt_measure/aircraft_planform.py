@@ -86,7 +86,7 @@ def _panels(at: Tensor, ends: Tensor, span: Tensor, kinks: Tensor) -> list[Tenso
         after = _meeting(_lines(at, ends, start), span)
         (a, b), (c, d) = (torch.autograd.grad(one, start, retain_graph=True)[0].tolist() for one in after)
         inverse = torch.tensor([[1 - d, b], [c, 1 - a]], dtype=torch.float64) / ((1 - a) * (1 - d) - b * c)
-        kinks = kinks + (inverse * (after - after.detach())).sum(dim=1) - 0 * start.detach()
+        kinks = kinks + (inverse * (after - after.detach())).sum(dim=1)
     lines = _lines(at, ends, kinks)
     places = _bounds(kinks)
     inner, outer = (
@@ -100,6 +100,7 @@ def _panels(at: Tensor, ends: Tensor, span: Tensor, kinks: Tensor) -> list[Tenso
 
 
 def _bounds(kinks: Tensor) -> Tensor:
+    """Where the panels begin and end (4,), in half spans."""
     import torch
 
     return torch.cat([torch.zeros(1, dtype=torch.float64), kinks, torch.ones(1, dtype=torch.float64)])
