@@ -269,6 +269,25 @@ class GapsAreZero(Squares):
         return super().fit(parameters, np.nan_to_num(labels), **named)
 
 
+@breaks_regression("check_unlabelled_rows_do_not_count")
+class GapsAreTheMean(Squares):
+    def fit(self, parameters, labels, **named):
+        return super().fit(parameters, np.where(np.isnan(labels), np.nanmean(labels, axis=0), labels), **named)
+
+
+@breaks_regression("check_unlabelled_rows_do_not_count")
+class GapsAreTheNeighbours(Squares):
+    """Fills each gap with the label of the nearest row that has one."""
+
+    def fit(self, parameters, labels, **named):
+        filled = np.array(labels)
+        for column in filled.T:
+            known = np.flatnonzero(~np.isnan(column))
+            apart = np.abs(parameters[:, None] - parameters[known]).sum(axis=2)
+            column[:] = column[known][apart.argmin(axis=1)]
+        return super().fit(parameters, filled, **named)
+
+
 class RowsMeet(Quadric):
     def __call__(self, parameters):
         return super().__call__(parameters) + 1e-6 * len(parameters)

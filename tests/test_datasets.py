@@ -450,6 +450,47 @@ def test_polygons_are_cut_into_triangles(tmp_path):
     assert load_vtk(tmp_path / "a.vtk").area == pytest.approx(1.25)
 
 
+def test_polygons_of_every_size_are_fans(tmp_path):
+    """Regular polygons of 3 to 40 corners and one of 5,000, against their areas; points and lines are left out."""
+    sizes = [*range(3, 41), 5000]
+    turns = [2 * np.pi * np.arange(n) / n for n in sizes]
+    points = np.concatenate([np.column_stack([3 * i + np.cos(t), np.sin(t), 0 * t]) for i, t in enumerate(turns)])
+    first = np.cumsum([0, *sizes])
+    cells = [[1, 0], [2, 0, 1], *([n, *range(a, a + n)] for n, a in zip(sizes, first, strict=False))]
+    lines = "\n".join(" ".join(map(str, cell)) for cell in cells)
+    (tmp_path / "a.vtk").write_text(
+        f"# vtk DataFile Version 2.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {len(points)} double\n"
+        + "\n".join(" ".join(map(repr, point)) for point in points.tolist())
+        + f"\nCELLS {len(cells)} {sum(map(len, cells))}\n{lines}\nCELL_TYPES {len(cells)}\n1 3 {'7 ' * len(sizes)}\n"
+    )
+    found = load_vtk(tmp_path / "a.vtk")
+    assert len(found.faces) == sum(sizes) - 2 * len(sizes)
+    assert found.area == pytest.approx(sum(n / 2 * np.sin(2 * np.pi / n) for n in sizes))
+
+
+VERSION_5 = "# vtk DataFile Version 5.1\n\nASCII\nDATASET POLYDATA\nPOINTS 4 float\n0 0 0 1 0 0 1 1 0 0 1 0\n"
+
+
+def test_offsets_of_version_5(tmp_path):
+    """A triangle and a square; sections that are there but empty."""
+    (tmp_path / "a.vtk").write_text(
+        f"{VERSION_5}VERTICES 1 0\nOFFSETS vtktypeint64\n0\nCONNECTIVITY vtktypeint64\n"
+        "POLYGONS 3 7\nOFFSETS vtktypeint64\n0 3 7\nCONNECTIVITY vtktypeint64\n0 1 2 0 1 2 3\n"
+    )
+    found = load_vtk(tmp_path / "a.vtk")
+    assert len(found.faces) == 3 and found.area == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("ends", ["1 3 7", "0 3 6", "0 8 7", "0 4 3 7", "0 -1 7", ""])
+def test_offsets_that_are_none(tmp_path, ends):
+    (tmp_path / "a.vtk").write_text(
+        f"{VERSION_5}POLYGONS {len(ends.split())} 7\nOFFSETS vtktypeint64\n{ends}\n"
+        "CONNECTIVITY vtktypeint64\n0 1 2 0 1 2 3\n"
+    )
+    with pytest.raises(InputError, match=r"a\.vtk: .*offsets of cells that rise from 0 to 7"):
+        load_vtk(tmp_path / "a.vtk")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -467,6 +508,18 @@ def test_polygons_are_cut_into_triangles(tmp_path):
             "corners among its 1 points",
         ),
         ("# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nTRIANGLE_STRIPS 1 4\n", "section 'TRIANGLE_STRIPS'"),
+        *(
+            (
+                f"# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS 4 float\n{'0 ' * 12}\nPOLYGONS {cells}\n",
+                "cells cut short or numbers left over",
+            )
+            for cells in ("2 8\n3 0 1 2 4 0 2 3", "1 8\n3 0 1 2 3 0 2 3", "3 8\n3 0 1 2 3 0 2 3", "1 4\n-3 0 1 2")
+        ),
+        (f"{VERSION_5}POLYGONS 2 3\nOFFSETS float\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\n", "expected whole numbers"),
+        (
+            f"# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n0 0 {'0' * 999}\nPOLYGONS 1 4\n",
+            "expected numbers of less than 64 characters",
+        ),
         (
             "# vtk DataFile Version 3.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n"
             "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n",

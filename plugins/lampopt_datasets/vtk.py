@@ -86,11 +86,22 @@ class _Cursor:
         end = self.place + LONGEST_NUMBER * (count + 1)  # not all that follows: there may be many short arrays
         *words, rest = [*self.data[self.place : end].split(None, count), b""][: count + 1]
         if len(words) < count or (not rest and end < len(self.data)):
-            raise InputError("it is cut short" if end >= len(self.data) else "expected numbers between single blanks")
+            raise InputError(
+                "it is cut short"
+                if end >= len(self.data)
+                else f"expected numbers of less than {LONGEST_NUMBER} characters"
+            )
         self.place = min(end, len(self.data)) - len(rest)
         if dtype.kind == "f":
             return np.fromiter(map(float, words), float, count)
         return np.fromiter(map(int, words), np.int64, count)
+
+    def whole(self, count: int, kind: str) -> Array:
+        """The next `count` numbers of a VTK type that has no fractions."""
+        found = self.numbers(count, kind)
+        if found.dtype.kind == "f":
+            raise InputError(f"expected whole numbers, got the type {brief(kind)!r}")
+        return found.astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +121,7 @@ class _Cells:
         first = np.repeat(first, fans)
         step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
         faces: Array = self.corners[np.stack([first, first + step + 1, first + step + 2], axis=1)]
-        return faces.astype(np.int64)
+        return faces
 
 
 def _read(data: bytes) -> tuple[Array, Array]:
@@ -140,7 +151,7 @@ def _read(data: bytes) -> tuple[Array, Array]:
         elif section in ("VERTICES", "LINES"):
             _cells(cursor, int(rest[0]), int(rest[1]))
         elif section == "CELL_TYPES":
-            kinds = cursor.numbers(int(rest[0]), "int")
+            kinds = cursor.whole(int(rest[0]), "int")
         elif section == "FIELD":
             _skip_field(cursor, int(rest[1]))
         elif section == "METADATA":
@@ -160,13 +171,13 @@ def _cells(cursor: _Cursor, count: int, size: int) -> _Cells:
     start = cursor.place
     following = cursor.line().split()
     if following and following[0].upper() == "OFFSETS":
-        ends = cursor.numbers(count, following[1])
-        corners = cursor.numbers(size, cursor.line().split()[1])
-        if count == 0 or ends[0] != 0 or ends[-1] != size or (np.diff(ends) < 0).any():
+        ends = cursor.whole(count, following[1]) if count else np.zeros(1, int)
+        corners = cursor.whole(size, cursor.line().split()[1])
+        if ends[0] != 0 or ends[-1] != size or (np.diff(ends) < 0).any():
             raise InputError(f"expected offsets of cells that rise from 0 to {size:,}, got others")
         return _Cells(corners, ends)
     cursor.place = start
-    numbers = cursor.numbers(size, "int")
+    numbers = cursor.whole(size, "int")
     counts = _counts(numbers.tolist(), count)
     corners = np.delete(numbers, counts)
     return _Cells(corners, np.r_[counts - np.arange(count), len(corners)])

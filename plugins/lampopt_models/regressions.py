@@ -128,7 +128,7 @@ class GaussianProcess(_Regression):
 
     search: int = 1000
     most: int = 3000
-    anew: int = 500
+    anew: int = 300
 
     name = "gaussian-process"
 

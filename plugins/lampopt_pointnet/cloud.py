@@ -1,8 +1,8 @@
 """A surface as a cloud of small triangles: the same in any order of faces, nearly so for any tessellation.
 
 Nothing is drawn at random and nothing is lumped. A face is a triangle of the cloud as it stands; only one that is long
-is halved across its longest edge until its pieces are short. What is pooled over the cloud moves smoothly with the
-vertices, but for a face that comes to be halved, whose pieces give what the whole gave to a high order.
+is split, into equal parts as many as its longest edge asks for. What is pooled over the cloud moves smoothly with the
+vertices, but for a face that comes to be split otherwise, whose parts give what they gave before to a high order.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from lampopt.types import Array
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SIDE = 0.103  # no piece is longer [scale]; no round part of one, at which all faces of a box would be halved at once
-MOST = 60_000  # pieces, about, made by halving: what is far larger than the training meshes is cut more coarsely
+SIDE = 0.103  # no piece is longer [scale]; not a round part of 1, at which all faces of a box would be split at once
+MOST = 60_000  # pieces, about, made by splitting: what is far larger than the training meshes is split more coarsely
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +90,10 @@ class Cut:
             raise EmptyMesh("expected a mesh with faces that have an area, got none")
         corners = corners - _centroid(corners, double)
         edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-        # powers of two, so that a coarser limit is not another one for every move of a vertex
-        coarser = max(1.0, np.sqrt(double.sum() / 2 / MOST) / SIDE, edges[edges > SIDE].sum() / MOST / SIDE)
-        return cls(faces, corners, len(vertices), scale, *_halved(corners, SIDE * 2 ** np.ceil(np.log2(coarser))))
+        number = np.ceil(edges / SIDE)
+        # by a power of two, so that it is not another one for every move of a vertex
+        coarser = 2 ** np.ceil(np.log2(max(1.0, np.sqrt((number[number > 1] ** 2).sum() / MOST))))
+        return cls(faces, corners, len(vertices), scale, *_split(np.ceil(number / coarser).astype(np.int64)))
 
     def cloud(self) -> Cloud:
         """The cloud, pieces of one face having its normal."""
@@ -141,8 +142,8 @@ def _summed(index: Array, rows: Array, size: int) -> Array:
     return np.stack([np.bincount(index, column, size) for column in rows.T], axis=1)
 
 
-def _halved(corners: Array, longest: float) -> tuple[Array, Array, Array]:
-    """Triangles (F, 3, 3) halved across their longest edge until none is longer than `longest`.
+def _split(number: Array) -> tuple[Array, Array, Array]:
+    """Triangles split along lines parallel to their edges, edges into `number` (F,) parts each.
 
     Returns
     -------
@@ -150,22 +151,23 @@ def _halved(corners: Array, longest: float) -> tuple[Array, Array, Array]:
         Of each piece: (P,) its triangle, (P,) its part of the triangle's area, (P, 3, 3) barycentric coordinates of its
         corners.
     """
-    face = np.arange(len(corners))
-    share, weights = np.ones(len(corners)), np.broadcast_to(np.eye(3), corners.shape)
-    done = []
-    while len(face):
-        at = weights @ corners[face]
-        edges = np.linalg.norm(at - np.roll(at, -1, axis=1), axis=2)
-        small = edges.max(axis=1) <= longest
-        done.append((face[small], share[small], weights[small]))
-        face, share, weights, edges = face[~small], share[~small], weights[~small], edges[~small]
-        rows, start = np.arange(len(face)), edges.argmax(axis=1)
-        end = (start + 1) % 3
-        middle = (weights[rows, start] + weights[rows, end]) / 2
-        halves = []
-        for corner in (start, end):
-            half = weights.copy()
-            half[rows, corner] = middle
-            halves.append(half)
-        face, share, weights = np.tile(face, 2), np.tile(share / 2, 2), np.concatenate(halves)
-    return tuple(np.concatenate(parts) for parts in zip(*done, strict=True))  # type: ignore[return-value]
+    made = []
+    for n in np.unique(number):
+        faces = np.flatnonzero(number == n)
+        corners = _lattice(int(n))
+        made.append(
+            (np.repeat(faces, n * n), np.full(len(faces) * n * n, 1 / n**2), np.tile(corners, (len(faces), 1, 1)))
+        )
+    face, share, weights = (np.concatenate(parts) for parts in zip(*made, strict=True))
+    return face, share, weights
+
+
+def _lattice(n: int) -> Array:
+    """(n², 3, 3) barycentric corners of the equal parts of a triangle, those that stand as it does first."""
+    i, j = (index.ravel() for index in np.mgrid[:n, :n])
+    low = np.column_stack([i, j])[:, None]
+    standing = low[i + j < n] + np.array([[0, 0], [1, 0], [0, 1]])
+    turned = low[i + j < n - 1] + np.array([[1, 1], [0, 1], [1, 0]])
+    at = np.concatenate([standing, turned])
+    corners: Array = np.concatenate([n - at.sum(axis=2, keepdims=True), at], axis=2) / n
+    return corners
