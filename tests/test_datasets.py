@@ -468,6 +468,7 @@ def test_polygons_of_every_size_are_fans(tmp_path):
     assert found.area == pytest.approx(sum(n / 2 * np.sin(2 * np.pi / n) for n in sizes))
 
 
+HEAD = "# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\n"
 VERSION_5 = "# vtk DataFile Version 5.1\n\nASCII\nDATASET POLYDATA\nPOINTS 4 float\n0 0 0 1 0 0 1 1 0 0 1 0\n"
 
 
@@ -510,15 +511,15 @@ def test_offsets_that_are_none(tmp_path, ends):
         ("# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nTRIANGLE_STRIPS 1 4\n", "section 'TRIANGLE_STRIPS'"),
         *(
             (
-                f"# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS 4 float\n{'0 ' * 12}\nPOLYGONS {cells}\n",
+                f"{HEAD}POINTS 4 float\n{'0 ' * 12}\nPOLYGONS {cells}\n",
                 "cells cut short or numbers left over",
             )
             for cells in ("2 8\n3 0 1 2 4 0 2 3", "1 8\n3 0 1 2 3 0 2 3", "3 8\n3 0 1 2 3 0 2 3", "1 4\n-3 0 1 2")
         ),
         (f"{VERSION_5}POLYGONS 2 3\nOFFSETS float\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\n", "expected whole numbers"),
         (
-            f"# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n0 0 {'0' * 999}\nPOLYGONS 1 4\n",
-            "expected numbers of less than 64 characters",
+            f"{HEAD}POINTS 1 float\n0 0 {'0' * 999}\nPOLYGONS 1 4\n",
+            "expected numbers below 64 characters",
         ),
         (
             "# vtk DataFile Version 3.0\n\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n"

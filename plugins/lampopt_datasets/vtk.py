@@ -86,11 +86,8 @@ class _Cursor:
         end = self.place + LONGEST_NUMBER * (count + 1)  # not all that follows: there may be many short arrays
         *words, rest = [*self.data[self.place : end].split(None, count), b""][: count + 1]
         if len(words) < count or (not rest and end < len(self.data)):
-            raise InputError(
-                "it is cut short"
-                if end >= len(self.data)
-                else f"expected numbers of less than {LONGEST_NUMBER} characters"
-            )
+            cut = end >= len(self.data)
+            raise InputError("it is cut short" if cut else f"expected numbers below {LONGEST_NUMBER} characters")
         self.place = min(end, len(self.data)) - len(rest)
         if dtype.kind == "f":
             return np.fromiter(map(float, words), float, count)

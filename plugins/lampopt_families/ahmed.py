@@ -11,7 +11,7 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array, Exemplars, Parameter
 
-from .parametric import Family
+from .parametric import Family, check_edge
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -65,7 +65,7 @@ class AhmedSource:
     stilts
         Whether it stands on its four stilts; else it floats above the ground, as in many a computation.
     edge
-        Length of the mesh's edges [mm], half that around the nose: about 26,000 faces at 12.
+        Length of the mesh's edges [mm], half that around the nose: 26,944 faces at 12 for the body as published.
 
     Raises
     ------
@@ -81,10 +81,7 @@ class AhmedSource:
 
     def __post_init__(self) -> None:
         FAMILY.checked_options(self.count, self.design, self.seed)
-        if not isinstance(self.stilts, bool):
-            raise InputError(f"ahmed: stilts: expected true or false, got {self.stilts!r:.100}")
-        if isinstance(self.edge, bool) or not EDGES[0] <= self.edge <= EDGES[1]:
-            raise InputError(f"ahmed: edge: expected {EDGES[0]:g} to {EDGES[1]:g} mm, got {self.edge!r:.100}")
+        _check_options(self.stilts, self.edge)
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes are made on access."""
@@ -109,15 +106,22 @@ def ahmed_mesh(parameters: Array, *, stilts: bool = True, edge: float = 12.0) ->
     Raises
     ------
     InputError
-        Where the parameters make no such body, naming those at fault.
+        Where the parameters make no such body, naming those at fault; for options that make none.
     """
     from trimesh import Trimesh
 
+    _check_options(stilts, edge)
     s = checked(parameters)
     vertices, faces = _divided_block(*_stations(s, edge), width=s.width, edge=edge)
     if stilts:
         vertices, faces = _on_stilts(vertices, faces, s)
     return Trimesh(vertices, faces, process=False)
+
+
+def _check_options(stilts: bool, edge: float) -> None:
+    if not isinstance(stilts, bool):
+        raise InputError(f"ahmed: stilts: expected true or false, got {stilts!r:.100}")
+    check_edge("ahmed", edge, *EDGES)
 
 
 def checked(parameters: Array) -> Sizes:

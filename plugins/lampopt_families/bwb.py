@@ -11,7 +11,7 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array, Exemplars, Parameter
 
-from .parametric import Family
+from .parametric import Family, whole
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -85,12 +85,8 @@ class BwbSource:
     def __post_init__(self) -> None:
         from .bwb_aero import METHODS, Condition
 
-        family(half=self.half).checked_options(self.count, self.design, self.seed)
-        for option, value, least in (("chordwise", self.chordwise, 4), ("spanwise", self.spanwise, 10)):
-            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= FINEST:
-                raise InputError(
-                    f"bwb: {option}: expected a whole number from {least} to {FINEST:,}, got {value!r:.100}"
-                )
+        family().checked_options(self.count, self.design, self.seed)
+        _check_options(self.half, self.chordwise, self.spanwise)
         if self.labels and self.labels not in METHODS:
             raise InputError(f"bwb: labels: expected one of {', '.join(METHODS)} or none, got {self.labels!r:.100}")
         Condition(self.mach, self.altitude, self.alpha, self.beta)
@@ -198,10 +194,11 @@ def bwb_mesh(parameters: Array, *, half: bool = True, chordwise: int = 64, spanw
     Raises
     ------
     InputError
-        Naming each parameter for which there is no aircraft.
+        Naming each parameter for which there is no aircraft; for options that make no mesh.
     """
     from trimesh import Trimesh
 
+    _check_options(half, chordwise, spanwise)
     at = stations(parameters)
     y, closing = _span(at, spanwise)
     share = 1 - np.cos(np.pi / 2 * np.arange(chordwise + 1) / chordwise)
@@ -226,6 +223,14 @@ def bwb_mesh(parameters: Array, *, half: bool = True, chordwise: int = 64, spanw
         vertices, faces = _mirrored(vertices, sides)
     a, b, c = faces.T
     return Trimesh(vertices, faces[(a != b) & (b != c) & (c != a)], process=False)
+
+
+def _check_options(half: bool, chordwise: int, spanwise: int) -> None:
+    if not isinstance(half, bool):
+        raise InputError(f"bwb: half: expected true or false, got {half!r:.100}")
+    for option, value, least in (("chordwise", chordwise, 4), ("spanwise", spanwise, 10)):
+        if not whole(value) or not least <= value <= FINEST:
+            raise InputError(f"bwb: {option}: expected a whole number from {least} to {FINEST:,}, got {value!r:.100}")
 
 
 def _span(at: Stations, strips: int) -> tuple[Array, Array]:

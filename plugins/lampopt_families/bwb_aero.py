@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import logging
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -126,18 +122,18 @@ def reference(at: Stations) -> tuple[float, float, float]:
 def airplane(at: Stations) -> Any:
     """The aircraft as an AeroSandbox `Airplane` [m], both sides, lofted through the same four sections."""
     area, chord, about = reference(at)
-    with _aerosandbox() as asb:
-        sections = [
-            asb.WingXSec(
-                xyz_le=[x * METRE, y * METRE, 0.0],
-                chord=c * METRE,
-                airfoil=asb.Airfoil(name=f"bwb {100 * thickness:.0f} %", coordinates=outline(thickness)),
-            )
-            for x, y, c, thickness in zip(at.leading_edge, at.y, at.chord, at.thickness, strict=True)
-        ]
-        wing = asb.Wing(name="body and wing", xsecs=sections, symmetric=True)
-        span = 2 * float(at.y[-1]) * METRE
-        return asb.Airplane(name="bwb", wings=[wing], xyz_ref=[about, 0.0, 0.0], s_ref=area, c_ref=chord, b_ref=span)
+    asb = _aerosandbox()
+    sections = [
+        asb.WingXSec(
+            xyz_le=[x * METRE, y * METRE, 0.0],
+            chord=c * METRE,
+            airfoil=asb.Airfoil(name=f"bwb {100 * thickness:.0f} %", coordinates=outline(thickness)),
+        )
+        for x, y, c, thickness in zip(at.leading_edge, at.y, at.chord, at.thickness, strict=True)
+    ]
+    wing = asb.Wing(name="body and wing", xsecs=sections, symmetric=True)
+    span = 2 * float(at.y[-1]) * METRE
+    return asb.Airplane(name="bwb", wings=[wing], xyz_ref=[about, 0.0, 0.0], s_ref=area, c_ref=chord, b_ref=span)
 
 
 def outline(thickness: float) -> Array:
@@ -155,15 +151,15 @@ def evaluated(airplane: Any, method: str, condition: Condition) -> tuple[float, 
     """
     if method not in METHODS:
         raise InputError(f"bwb: method: expected one of {', '.join(METHODS)}, got {method!r:.100}")
-    with _aerosandbox() as asb:
-        air = asb.Atmosphere(altitude=condition.altitude)
-        point = asb.OperatingPoint(
-            air, velocity=condition.mach * air.speed_of_sound(), alpha=condition.alpha, beta=condition.beta
-        )
-        options = LATTICE if method == "vlm" else {}
-        found = getattr(asb, METHODS[method])(airplane=airplane, op_point=point, **options).run()
-        cl, cd, cm = (float(np.squeeze(found[name])) for name in ("CL", "CD", "Cm"))
-        return cl, cd, cm
+    asb = _aerosandbox()
+    air = asb.Atmosphere(altitude=condition.altitude)
+    point = asb.OperatingPoint(
+        air, velocity=condition.mach * air.speed_of_sound(), alpha=condition.alpha, beta=condition.beta
+    )
+    options = LATTICE if method == "vlm" else {}
+    found = getattr(asb, METHODS[method])(airplane=airplane, op_point=point, **options).run()
+    cl, cd, cm = (float(np.squeeze(found[name])) for name in ("CL", "CD", "Cm"))
+    return cl, cd, cm
 
 
 def labels(parameters: Array, method: str, condition: Condition) -> tuple[Array, tuple[Parameter, ...]]:
@@ -176,15 +172,12 @@ def labels(parameters: Array, method: str, condition: Condition) -> tuple[Array,
     return np.array(rows), tuple(Parameter(f"{name}_{method}", "") for name in COEFFICIENTS)
 
 
-@contextmanager
-def _aerosandbox() -> Iterator[ModuleType]:
-    """AeroSandbox, whose warnings and those of its arithmetic stay inside."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        try:
-            import aerosandbox
-        except ImportError as error:
-            raise PluginError(
-                "bwb: aerodynamic coefficients need AeroSandbox, which is not installed: pip install 'lampopt[aero]'"
-            ) from error
-        yield aerosandbox
+def _aerosandbox() -> Any:
+    """AeroSandbox. Raises PluginError without it."""
+    try:
+        import aerosandbox
+    except ImportError as error:
+        raise PluginError(
+            "bwb: aerodynamic coefficients need AeroSandbox, which is not installed: pip install 'lampopt[aero]'"
+        ) from error
+    return aerosandbox

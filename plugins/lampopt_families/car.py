@@ -14,7 +14,7 @@ from lampopt.types import Array, Exemplars, Parameter
 
 from .car_solid import BELT, EDGE, GAP, PANELS, PATCH, SHOULDER, TYRE, Sizes, Solid, grid, side_view
 from .contour import contour
-from .parametric import Family
+from .parametric import Family, check_edge
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -88,8 +88,7 @@ class CarSource:
 
     def __post_init__(self) -> None:
         FAMILY.checked_options(self.count, self.design, self.seed)
-        if isinstance(self.edge, bool) or not EDGES[0] <= self.edge <= EDGES[1]:
-            raise InputError(f"car: edge: expected {EDGES[0]:g} to {EDGES[1]:g} mm, got {self.edge!r:.100}")
+        check_edge("car", self.edge, *EDGES)
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes are made on access."""
@@ -110,8 +109,10 @@ def car_mesh(parameters: Array, *, edge: float = 36.0) -> Trimesh:
     Raises
     ------
     InputError
-        Where the parameters make no car, naming those that leave a panel or a wheel no room.
+        Where the parameters make no car, naming those that leave a panel or a wheel no room; for an `edge` that makes
+        no mesh.
     """
+    check_edge("car", edge, *EDGES)
     sizes = checked(parameters)
     solid = Solid.of(sizes)
     axes = grid(sizes, edge)

@@ -17,8 +17,9 @@ from lampopt.types import Exemplars, Parameter
 from .body import Body
 from .deformation import Deformation
 from .deformation_file import read_deformations
-from .draws import DESIGNS, draws
+from .draws import draws
 from .morphing import Morph, Morphs
+from .parametric import check_draws
 from .refine import refined
 from .vehicle import vehicle
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("lampopt")
 BASE = "base"  # the exemplar that is the body as it is
 A_PARAMETER = 3  # exemplars, unless `count` says otherwise
-MOST = {"count": 100_000, "seed": 2**63 - 1}  # beyond lies a slip, or a machine out of memory
 COARSE = 0.1  # of the body's length: a face with a longer edge is a stiff plate
 STIFF = 0.1  # share of the surface that may consist of such faces unnoticed
 EXTENTS = ("extents.length", "extents.width", "extents.height")  # along x, y, z
@@ -87,7 +87,7 @@ class MorphSource:
     edge: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_draws(self.design, count=self.count, seed=self.seed)
+        check_draws("morph", self.design, count=self.count, seed=self.seed)
         if not 0 <= self.edge < float("inf"):
             raise InputError(f"morph: edge: expected a length, or 0 for the mesh as it is, got {self.edge}")
         _ranges(self.ranges)
@@ -174,7 +174,7 @@ def family(
     InputError
         For what makes no family.
     """
-    _check_draws(design, count=count, seed=seed)
+    check_draws("morph", design, count=count, seed=seed)
     body = body if isinstance(body, Body) else Body.of(body)
     morph = Morph.of(body, deformations or vehicle(body))
     chosen = [field.deformation for field in morph.fields]
@@ -201,14 +201,6 @@ def family(
         measured=_measured(body, chosen, len(names)),
         mesh_at=morph,
     )
-
-
-def _check_draws(design: str, **numbers: int) -> None:
-    if design not in DESIGNS:
-        raise InputError(f"morph: design: expected one of {', '.join(DESIGNS)}, got {design!r}")
-    for name, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MOST[name]:
-            raise InputError(f"morph: {name}: expected a whole number from 0 to {MOST[name]:,}, got {value!r:.100}")
 
 
 def _ranges(text: str) -> dict[str, tuple[float, float]]:

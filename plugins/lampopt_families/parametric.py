@@ -16,7 +16,29 @@ from .draws import DESIGNS, draws
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-MOST = {"count": 100_000, "seed": 2**63 - 1}  # beyond lies a slip, or a machine out of memory
+MOST = 100_000  # exemplars; beyond lies a slip, or a machine out of memory
+SEEDS = 2**63  # what a draw can begin from
+
+
+def check_draws(name: str, design: str, *, count: int, seed: int) -> None:
+    """Raise InputError for draws that cannot be made, `name` being the source that is asked for them."""
+    if design not in DESIGNS:
+        raise InputError(f"{name}: design: expected one of {', '.join(DESIGNS)}, got {design!r:.100}")
+    if not whole(count) or not 0 <= count <= MOST:
+        raise InputError(f"{name}: count: expected a whole number from 0 to {MOST:,}, got {count!r:.100}")
+    if not whole(seed) or not 0 <= seed < SEEDS:
+        raise InputError(f"{name}: seed: expected a whole number below 2^63, 0 or more, got {seed!r:.100}")
+
+
+def check_edge(name: str, edge: float, finest: float, coarsest: float) -> None:
+    """Raise InputError unless a mesh can have edges of this length [mm]."""
+    if isinstance(edge, bool) or not isinstance(edge, int | float) or not finest <= edge <= coarsest:
+        raise InputError(f"{name}: edge: expected {finest:g} to {coarsest:g} mm, got {edge!r:.100}")
+
+
+def whole(value: object) -> bool:
+    """Whether `value` is a whole number; True and False are none."""
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +77,7 @@ class Family:
 
     def checked_options(self, count: int, design: str, seed: int) -> None:
         """Raise InputError for draws that cannot be made."""
-        for option, value in (("count", count), ("seed", seed)):
-            if isinstance(value, bool) or not isinstance(value, int) or value > MOST[option]:
-                raise InputError(
-                    f"{self.name}: {option}: expected a whole number up to {MOST[option]:,}, got {value!r:.100}"
-                )
-        if design not in DESIGNS:
-            raise InputError(f"{self.name}: design: expected one of {', '.join(DESIGNS)}, got {design!r}")
+        check_draws(self.name, design, count=count, seed=seed)
         if design == "ends" and count != self.ends:
             raise InputError(
                 f"{self.name}: design 'ends' has {self.ends} exemplars, got count={count}; "
@@ -69,8 +85,6 @@ class Family:
             )
         if count < 1:
             raise InputError(f"{self.name}: count: expected at least 1, got {count}")
-        if seed < 0:
-            raise InputError(f"{self.name}: seed: expected 0 or more, got {seed}")
 
     @property
     def ends(self) -> int:

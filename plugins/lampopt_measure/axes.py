@@ -8,12 +8,15 @@ import numpy as np
 
 from lampopt.errors import InputError, MeasureError
 
-from .facets import Shape, direction
+from .facets import Shape, direction, section
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 ALIKE = 0.9  # horizontal sides nearer than this to each other do not tell which way a body points
+BESIDE = 0.005  # of the width: how far inside either side a body is cut to tell a half from a whole
+ALONG, UPRIGHT = 0.97, 0.8  # of length and height: a side that is so long and so high is one or a plane of symmetry
+UNLIKE = 0.9  # of one side's height: another that is lower, or not as long, is none like it
 
 
 def check_axes(forward: str = "", up: str = "z") -> None:
@@ -58,3 +61,19 @@ def oriented(mesh: Trimesh, forward: str = "", up: str = "z") -> Shape:
             )
         rear = np.eye(3)[long]
     return Shape.of(mesh, np.stack([rear, np.cross(top, rear), top]))
+
+
+def check_whole(shape: Shape) -> None:
+    """Raise MeasureError where one side is a plane from nose to tail and up to the roof, and the other side is not."""
+    used = shape.vertices[np.unique(shape.faces)]
+    low, size = used.min(axis=0), np.ptp(used, axis=0)
+    shares = []
+    for at in (BESIDE, 1 - BESIDE):
+        cut = section(shape, "y", float(low[1] + at * size[1])).corners.reshape(-1, 3)
+        shares.append(np.ptp(cut, axis=0)[[0, 2]] / size[[0, 2]] if len(cut) and (size > 0).all() else np.zeros(2))
+    for side, one, other in (("left", *shares), ("right", *reversed(shares))):
+        if (one >= (ALONG, UPRIGHT)).all() and (other[0] < ALONG or other[1] < UNLIKE * one[1]):
+            raise MeasureError(
+                f"expected a whole body, got one whose {side} side is cut off along a plane, as half a vehicle's; "
+                "mirror it first, or say which way it points by forward="
+            )

@@ -17,23 +17,33 @@ if TYPE_CHECKING:
 
 
 TIE = 1e-9  # share of a size within which two vertices are equally far out
+SMALLEST, LARGEST = 1e-50, 1e50  # sizes whose fifth powers, as moments of inertia are, still are numbers
 
 
 def with_faces(mesh: Trimesh) -> Trimesh:
-    """`mesh` itself, if it has faces and finite vertices.
+    """`mesh` itself, if it has faces between finite vertices.
 
     Raises
     ------
     EmptyMesh
         If it has no faces.
     MeasureError
-        If a vertex is not finite.
+        If a vertex is not finite, a face names one that is not there, or the mesh is too large or too small to reckon.
     """
     if len(mesh.faces) == 0:
         raise EmptyMesh("expected a mesh with faces, got one without")
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
         raise MeasureError(f"expected finite vertices, got {count} that are not")
+    faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
+        raise MeasureError(f"expected faces between the {len(vertices)} vertices, got one with vertex {wrong}")
+    reach = float(np.abs(vertices).max())
+    if not SMALLEST < reach < LARGEST and reach:
+        raise MeasureError(
+            f"expected a largest coordinate from {SMALLEST:g} to {LARGEST:g}, got {reach:.3g}; scale the mesh"
+        )
     return mesh
 
 
@@ -88,12 +98,19 @@ def solid(mesh: Trimesh, what: str) -> Trimesh:
     closed = watertight(mesh)
     if not closed.is_winding_consistent:
         raise MeasureError(f"{what}: expected neighbouring faces to be wound alike, got some that are not")
-    if closed.volume <= 0:
+    if (volume := enclosed_volume(closed)) <= 0:
         raise MeasureError(
-            f"{what}: expected faces that point outward, got an enclosed volume of {closed.volume:.6g}; "
+            f"{what}: expected faces that point outward, got an enclosed volume of {volume:.6g}; "
             "turn the faces round (mesh.invert())"
         )
     return closed
+
+
+def enclosed_volume(mesh: Trimesh) -> float:
+    """The volume within the faces of a closed mesh, by the divergence theorem about the middle of its box."""
+    corners = corners_of(mesh)
+    corners = corners - (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2
+    return float(np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
 @dataclass(frozen=True)
@@ -131,7 +148,7 @@ class Volume:
 
     def __call__(self, mesh: Trimesh) -> Array:
         """Volume (1,). Raises EmptyMesh; MeasureError where the mesh is open or its faces do not all point outward."""
-        return np.array([solid(mesh, "volume").volume])
+        return np.array([enclosed_volume(solid(mesh, "volume"))])
 
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivatives by the vertices (1, V, 3): a third of the faces' area vectors around. Raises as a call does."""

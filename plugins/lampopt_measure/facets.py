@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -114,7 +116,9 @@ class Facets:
         return Facets(*parts, self.plane, shifts)
 
     def facing(self, towards: Direction, within: float = 45.0) -> Facets:
-        """Those whose outward normal is within `within` degrees of a direction."""
+        """Those whose outward normal is within `within` degrees of a direction. Raises InputError."""
+        if not 0 < within <= 180:
+            raise InputError(f"facing: within: expected an angle above 0 to 180 [deg], got {within!r:.100}")
         return self.where(self.normals @ direction(towards) > np.cos(np.radians(within)))
 
     def between(
@@ -130,10 +134,10 @@ class Facets:
                 kept &= (self.middles[:, axis] >= float(span[0])) & (self.middles[:, axis] <= float(span[1]))
         return self.where(kept)
 
-    def required(self, what: str) -> Facets:
-        """Itself. Raises MeasureError naming `what` is missing where nothing is left."""
+    def required(self, what: str, advice: str = "") -> Facets:
+        """Itself. Raises MeasureError naming `what` is missing where nothing is left, with `advice` what to do."""
         if not len(self):
-            raise MeasureError(f"expected {what}, got nothing there")
+            raise MeasureError(f"expected {what}, got nothing there" + (f"; {advice}" if advice else ""))
         return self
 
     def quantity(self, value: float, by_corners: Array, by_size: Array | None = None) -> Quantity:
@@ -171,8 +175,12 @@ def section(mesh: Trimesh | Shape, normal: Direction, at: Number) -> Facets:
     """The segments in which the plane with `normal` at position `at` along it cuts a mesh, of open meshes too.
 
     Segments run with the material on their left, seen against `normal`. A vertex on the plane counts as above it, so
-    that no case is degenerate. A plane whose position is a quantity moves with it. Raises EmptyMesh, MeasureError.
+    that no case is degenerate. A plane whose position is a quantity moves with it.
+
+    Raises EmptyMesh, MeasureError, and InputError for a direction that is none or a position that is no finite number.
     """
+    if not (isinstance(at, Quantity | Real) and math.isfinite(float(at))):
+        raise InputError(f"section: at: expected a finite number or a quantity, got {at!r:.100}")
     shape, axis = Shape.of(mesh), direction(normal)
     height = shape.vertices @ axis - float(at)
     above = height >= 0
@@ -203,8 +211,10 @@ def highest(facets: Facets, towards: Direction = "z", layer: float = 0.0) -> Qua
     """The farthest position along a direction; points that tie share the derivative.
 
     With `layer` [L] it is the mean of the corners no more than that behind the farthest: as exact on a flat end, and
-    moved less by noise and by a mesh's last vertex. Raises MeasureError.
+    moved less by noise and by a mesh's last vertex. Raises MeasureError, InputError.
     """
+    if not (isinstance(layer, Real) and 0 <= layer < math.inf):
+        raise InputError(f"layer: expected a length of at least 0, got {layer!r:.100}")
     axis = direction(towards)
     reach = facets.required(f"something to look for its end along {towards}").corners @ axis
     size = max(float(np.ptp(facets.corners[..., k])) for k in range(3))  # numpy is slow at all three at once

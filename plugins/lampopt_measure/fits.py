@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
+from numbers import Real
 
 import numpy as np
 
@@ -23,6 +24,7 @@ Vector = tuple[Quantity, Quantity, Quantity]
 SEEDS = {2: 24, 3: 14}  # places along the facets that a consensus is sought from, by points a feature needs
 ROUNDS = 20  # of fitting and choosing anew; a choice that comes back ends it, mostly after three
 CHUNK = 2_000_000  # pairs of candidate and facet that are looked at in one go
+STRAIGHT = 5.0  # sizes of what is fitted to: no arc has a larger radius
 ALIKE = 1e-9  # relative gap of two spreads below which no direction is the main one
 
 
@@ -88,11 +90,17 @@ def plane(facets: Facets, within: float | None = None) -> Plane:
     return Plane(_centroid(kept), _axis(kept, spreads, axes * sign, 0), math.sqrt(max(float(spreads[0]), 0.0)), kept)
 
 
-def circle(facets: Facets, within: float | None = None, axis: Direction | None = None) -> Circle:
+def circle(
+    facets: Facets, within: float | None = None, axis: Direction | None = None, largest: float | None = None
+) -> Circle:
     """The circle of least distance to the segments of a section, or to triangles around a known `axis`.
 
-    `within` as for `line`. Raises MeasureError where no circle is determined.
+    `within` as for `line`. A radius above `largest` [L] is none: without it, above five times the size of what is
+    fitted to, an arc of less than about 11°, since a line that is a little bent would pass for one. Raises MeasureError
+    where no circle is determined.
     """
+    if largest is not None and not largest > 0:
+        raise InputError(f"circle: largest: expected a radius above 0, got {largest!r:.100}")
     if facets.plane is None and axis is None:
         raise MeasureError("circle: expected a section, got triangles; cut first, or name the axis")
     way = np.asarray(facets.plane if axis is None else direction(axis))
@@ -110,6 +118,12 @@ def circle(facets: Facets, within: float | None = None, axis: Direction | None =
 
     kept = facets if within is None else _agreeing(facets, 3, through, distances, least, within, "a circle")
     x, y, radius = least(kept.required("something to fit a circle to"))
+    bound = largest or STRAIGHT * max(float(np.ptp(kept.corners @ side)) for side in across)
+    if radius > bound:
+        raise MeasureError(
+            f"circle: expected a radius of at most {bound:.6g}, got {radius:.6g} of what is nearly straight; if it is "
+            "an arc, say how large it may be: largest="
+        )
     return _circle(kept, across, np.array([x, y]), radius)
 
 
@@ -293,8 +307,8 @@ def _agreeing(
     what: str,
 ) -> Facets:
     """The facets near the feature that most of their size is near: by consensus, then by fitting and choosing anew."""
-    if not within > 0:
-        raise InputError(f"within: expected a distance above 0, got {within}")
+    if not (isinstance(within, Real) and within > 0):
+        raise InputError(f"within: expected a distance above 0, got {within!r:.100}")
     facets.required(f"something to fit {what} to")
     grid = TIE * max(float(np.ptp(facets.corners[..., k])) for k in range(3)) + np.finfo(float).tiny
     facets = facets.where(np.lexsort(np.rint(facets.middles / grid).T))  # whatever the order of the mesh's faces
@@ -319,6 +333,11 @@ def _agreeing(
         before, kept = kept, distances(least(facets.where(kept))[None], facets.middles)[0] <= within
         if np.array_equal(kept, before):
             break
+        if not kept.any():
+            raise MeasureError(
+                f"expected {what} within {within:.6g} of what it is fitted to, got parts that agree on none: too rough, "
+                "too coarse, or bent"
+            )
     return facets.where(kept)
 
 

@@ -192,12 +192,19 @@ def ring(segments: Facets, axis: int, centre: tuple[float, float], radius: float
 
 
 def area_and_centre(loop: Facets, axis: int) -> tuple[Quantity, Quantity, Quantity]:
-    """The area that the loop of a hole encloses, and its centroid along the two axes that follow `axis`."""
+    """The area that the loop of a hole encloses, and its centroid along the two axes that follow `axis`.
+
+    Raises MeasureError where it encloses none.
+    """
     towards = np.eye(3)[axis]
     near = loop.corners.mean(axis=(0, 1))  # a fixed point amid the loop: about a far one moments drown in rounding
     p, q = loop.corners[:, 0] - near, loop.corners[:, 1] - near
     cross = np.cross(p, q) @ towards
     by_cross = np.stack([np.cross(q, towards), np.cross(towards, p)], axis=1)
+    if not cross.sum() < 0:
+        raise MeasureError(
+            "expected a loop around the opening of a hole, got one around material; the surface crosses itself there"
+        )
     area = loop.quantity(cross.sum() / 2, by_cross / 2)
     centre = []
     for k in ((axis + 1) % 3, (axis + 2) % 3):

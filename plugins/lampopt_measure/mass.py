@@ -9,7 +9,7 @@ import numpy as np
 
 from lampopt.types import Array
 
-from .basic import by_vertices, corners_of, solid
+from .basic import by_vertices, corners_of, enclosed_volume, solid
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -37,7 +37,7 @@ class Centroid:
         corners = corners_of(mesh) - self(mesh)
         halfway = _halfway(corners)
         by_corners = np.stack([_moved(corners, corners[..., k], halfway[..., k]) for k in range(3)])
-        return by_vertices(by_corners / float(solid(mesh, "centroid").volume), mesh)
+        return by_vertices(by_corners / enclosed_volume(solid(mesh, "centroid")), mesh)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from .example import simple_car
 from .facets import Facets, section
 from .fits import Line, line, slope
 from .pieces import measure
-from .profile import NOISE, TRIM, Run, outline, runs
+from .profile import NOISE, TRIM, Run, check_gaps, outline, runs
 from .quantity import Number, Quantity, atan2, mean
-from .vehicle import Vehicle
+from .vehicle import ADVICE, Vehicle
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -101,7 +101,8 @@ def greenhouse(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, 
 
 def _outlined(mesh: Trimesh, forward: str, up: str, side: float) -> tuple[Vehicle, Facets, list[Run]]:
     body = Vehicle.of(mesh, forward, up)
-    centre = body.centre.required("a section along the middle")
+    centre = body.centre.required("a section along the middle", ADVICE)
+    check_gaps(centre)
     return body, centre, runs(outline(centre, side=side), float(body.length))
 
 
@@ -125,7 +126,7 @@ def _glass(body: Vehicle, top: list[Run], rising: int) -> Run:
     panes = [r for r in panes if r.length > SHORT * float(body.length)]
     if not panes:
         name = "a windscreen rising to" if rising > 0 else "a rear window falling from"
-        raise MeasureError(f"expected {name} the roof in the middle section, got no straight run there")
+        raise MeasureError(f"expected {name} the roof in the middle section, got no straight run there; {ADVICE}")
     return max(panes, key=lambda r: abs(r.end[1] - r.start[1]))
 
 
@@ -140,7 +141,7 @@ def _floor(body: Vehicle, bottom: list[Run]) -> Run:
     half = float(body.station(0.5))
     level = [r for r in bottom if abs(r.angle) < LEVEL and _share_up(body, r) < DECK]
     if not level:
-        raise MeasureError("expected a level underbody between the axles, got none in the middle section")
+        raise MeasureError(f"expected a level underbody between the axles, got none in the middle section; {ADVICE}")
     return max(level, key=lambda r: r.length - 2 * max(r.start[0] - half, half - r.end[0], 0))
 
 

@@ -4,12 +4,13 @@ A function from mesh to named values becomes a measure by a decorator::
 
     @measure(height="L", slope="deg")
     def roof(mesh):
-        top = section(mesh, "y", at=0.0).facing("z", within=30)
-        return {"height": highest(top, "z"), "slope": angle(line(top, within=0.01), "x")}
+        top = section(mesh, "y", at=middle(surface(mesh), "y")).facing("z", within=30)
+        return {"height": highest(top) - lowest(surface(mesh)), "slope": slope(line(top, within=0.01 * extent(top, "x")))}
 
     roof()(mesh), roof().gradient(mesh)
 
-`roof` is then a class whose fields are the function's keyword options, as a plugin registers it.
+`roof` is then a class whose fields are the function's keyword options, as a plugin registers it. Its values should not
+depend on where the mesh lies: a cut through its middle moves along with it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
+from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -73,8 +75,8 @@ class Composed:
 
     names: ClassVar[tuple[str, ...]]
     units: ClassVar[tuple[str, ...]]
+    positions: ClassVar[tuple[str, ...]]
     function: ClassVar[Callable[..., Values]]
-
     check: ClassVar[Callable[..., None] | None]
 
     def __post_init__(self) -> None:
@@ -100,24 +102,35 @@ class Composed:
 
     def _values(self, mesh: Trimesh) -> list[Number]:
         with_faces(mesh)
+        own = type(self).__name__
         try:
             found = type(self).function(mesh, **self._options())
         except InputError:
             raise
+        except MeasureError as error:
+            raise MeasureError(f"{own}: {str(error).removeprefix(f'{own}: ')}") from error
         except (ArithmeticError, ValueError) as error:  # a root of what is negative, a mean of nothing: of this shape
-            raise MeasureError(f"{type(self).__name__}: cannot be worked out on this mesh: {error}") from error
+            raise MeasureError(f"{own}: cannot be worked out on this mesh: {error}") from error
+        if not isinstance(found, Mapping):
+            raise InputError(f"{own}: expected a function that returns a mapping of names to numbers, got {found!r:.100}")
         if set(found) != set(self.names):
-            raise MeasureError(
-                f"{type(self).__name__}: expected values {', '.join(self.names)}, got {', '.join(found) or 'none'}"
+            raise InputError(
+                f"{own}: expected values {', '.join(self.names)}, got {', '.join(map(str, found)) or 'none'}"
             )
         for name, value in found.items():
+            if not isinstance(value, Quantity | Real):
+                raise InputError(f"{own}: {name!r}: expected a quantity or a number, got {value!r:.100}")
             if not np.isfinite(float(value)):
-                raise MeasureError(f"{type(self).__name__}: {name!r} is {float(value)} on this mesh")
+                raise MeasureError(f"{own}: {name!r} is {float(value)} on this mesh")
         return [found[name] for name in self.names]
 
 
 def measure(
-    example: Callable[[], Trimesh] | None = None, check: Callable[..., None] | None = None, /, **units: str
+    example: Callable[[], Trimesh] | None = None,
+    check: Callable[..., None] | None = None,
+    positions: Mapping[str, str] | None = None,
+    /,
+    **units: str,
 ) -> Callable[[Callable[..., Values]], Callable[..., Composed]]:
     """Turn a function from mesh to named quantities into a measure class.
 
@@ -127,6 +140,8 @@ def measure(
         Makes a mesh that it measures, where the shapes of `lampopt.testing` are none.
     check
         Raises InputError for options, given by name, that cannot be used: before anything is measured.
+    positions
+        For each value that is a place in the mesh's own coordinates, and moves with it, its axis: {"top": "z"}.
     units
         The values' names with their units: "L", "L^2", "L^3", "deg", "" or any that pint reads.
 
@@ -139,6 +154,13 @@ def measure(
     """
     if not units:
         raise InputError('measure: expected names with units, as in measure(height="L"), got none')
+    for name, unit in units.items():
+        if not isinstance(unit, str):
+            raise InputError(f"measure: {name}: expected a unit as text, as 'L', 'deg' or '', got {unit!r:.100}")
+    places = dict(positions or {})
+    for name, axis in places.items():
+        if name not in units or axis not in ("x", "y", "z"):
+            raise InputError(f"measure: positions: expected names of values with x, y or z, got {name!r}: {axis!r:.100}")
 
     def decorated(function: Callable[..., Values]) -> Callable[..., Composed]:
         _, *options = inspect.signature(function).parameters.values()
@@ -148,6 +170,7 @@ def measure(
         namespace: dict[str, Any] = {
             "names": tuple(units),
             "units": tuple(units.values()),
+            "positions": tuple(places.get(name, "") for name in units),
             "function": staticmethod(function),
             "check": None if check is None else staticmethod(check),
             "__doc__": function.__doc__,

@@ -11,6 +11,8 @@ from lampopt.types import Array
 
 from .facets import Facets
 
+NEAR = 1e-4  # of a section's size: ends of segments that are no farther apart meet
+GAPS = 0.2  # of the ends of a section's segments may meet no other: a few borders of an open mesh
 COLUMNS = 600  # places along the body where the outline is looked up
 SAMPLES = 240  # points, evenly spaced along the outline, that runs are made of
 NOISE = 0.0008  # of the body's length: what a straight panel may be off straight (a decoder's ripple, a slight crown)
@@ -62,6 +64,20 @@ def outline(cut: Facets, *, over: int = 0, up: int = 2, side: float = 1.0) -> Ar
     if seen.sum() < COLUMNS / 2:
         raise MeasureError(f"outline: expected a section all along the body, got one over {seen.mean():.0%} of it")
     return evenly(np.column_stack([at[seen], side * top[seen]]))
+
+
+def check_gaps(cut: Facets) -> None:
+    """Raise MeasureError where a section is more gaps than outline: what lies behind would be taken for its edge."""
+    from scipy.spatial import cKDTree
+
+    ends = cut.corners.reshape(-1, 3)
+    near = NEAR * float(np.ptp(ends, axis=0).max())
+    lone = float((cKDTree(ends).query(ends, k=2, distance_upper_bound=near)[0][:, 1] > near).mean())
+    if lone > GAPS:
+        raise MeasureError(
+            f"expected a section along the middle that hangs together, got one with {lone:.0%} of its pieces' ends "
+            "loose; faces are missing: wrap or repair the mesh first"
+        )
 
 
 def evenly(points: Array) -> Array:

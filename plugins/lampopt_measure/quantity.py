@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from lampopt.types import Array
 
 MANY = 2000  # vertices from which on repeated ones are added up, lest long formulas grow
+ARITHMETIC: Mapping[np.ufunc, Callable[[Any, Any], Any]] = MappingProxyType(  # what a numpy number asks for beside one
+    {np.add: operator.add, np.subtract: operator.sub, np.multiply: operator.mul, np.true_divide: operator.truediv}
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A number with its derivative by the vertices it depends on.
+    """A number with its derivative by the vertices it depends on. Compared by `<`, `<=`, `>`, `>=` it is its value.
 
     Parameters
     ----------
@@ -46,6 +52,28 @@ class Quantity:
 
     def __float__(self) -> float:
         return self.value
+
+    def __lt__(self, other: Number) -> bool:
+        return self.value < float(other)
+
+    def __le__(self, other: Number) -> bool:
+        return self.value <= float(other)
+
+    def __gt__(self, other: Number) -> bool:
+        return self.value > float(other)
+
+    def __ge__(self, other: Number) -> bool:
+        return self.value >= float(other)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **_: Any) -> Quantity:
+        if method == "__call__" and ufunc in ARITHMETIC and all(np.ndim(part) == 0 for part in inputs[:2]):
+            first, second = (part if isinstance(part, Quantity) else float(part) for part in inputs)
+            made: Quantity = ARITHMETIC[ufunc](first, second)
+            return made
+        raise TypeError(
+            f"np.{ufunc.__name__}: keeps no derivative of a quantity; of lampopt_measure.pieces take sqrt, atan2, "
+            "minimum, maximum, mean, median and + - * / **, or float(...) for a plain number"
+        )
 
     def __add__(self, other: Number) -> Quantity:
         return combined(self.value + float(other), (self, 1.0), (other, 1.0))

@@ -36,7 +36,7 @@ def section(vertices: Array, faces: Array, height: float) -> Loops:
     Raises
     ------
     MeasureError
-        If the section is not closed there.
+        If the section is not closed there, or a face is listed twice.
     """
     above = vertices[:, 2] >= height
     cut = faces[_crossing(above, faces)]
@@ -55,6 +55,11 @@ def section(vertices: Array, faces: Array, height: float) -> Loops:
     start, end = node[: len(cut)], node[len(cut) :]
     if (np.bincount(start, minlength=len(keys)) != np.bincount(end, minlength=len(keys))).any():
         raise MeasureError(f"section at z = {height:.6g}: expected closed loops, got open ends; the mesh is not closed")
+    if len(np.unique(start * np.int64(len(keys)) + end)) < len(cut):
+        raise MeasureError(
+            f"section at z = {height:.6g}: expected each face once, got some twice; take one of each away "
+            "(mesh.update_faces(mesh.unique_faces()))"
+        )
     low, high = vertices[keys // len(vertices)], vertices[keys % len(vertices)]
     share = (height - low[:, 2]) / (high[:, 2] - low[:, 2])
     points = (low + share[:, None] * (high - low))[:, :2]

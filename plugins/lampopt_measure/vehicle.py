@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .axes import check_axes, oriented
+from lampopt.errors import MeasureError
+
+from .axes import check_axes, check_whole, oriented
 from .example import simple_car
 from .facets import Facets, Shape, extent, highest, lowest, middle, section, surface
 from .fits import line
 from .pieces import measure
-from .quantity import Number, Quantity, mean
+from .quantity import Number, Quantity, mean, minimum
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -21,9 +24,14 @@ LAYER = 2e-5  # of the length: how deep an end is looked at
 SIDE = 3e-4  # of the width: how deep a flank is
 STATIONS = tuple(np.linspace(0.4031, 0.6173, 12))  # of the length, clear of the wheels
 ALIKE = 0.01  # stations whose width is farther than this from the median one show a mirror or a handle
+MOST = 0.5  # of the stations have to be as wide
 UNDER = 0.5  # of the height: where an underbody is sought
+LOWEST = 0.01  # of the height: an underbody no higher than that lies on the ground
+WHEELS = 0.03  # of the height: what stands out farther than that above the middle of a body, fore and aft, is no roof
+FLAT = 1e-6  # of the largest side: a body that is thinner is none
 ROUGH = 1e-3  # of the length: what belongs to one level of the underbody
 CENTRE = 1e-3  # of the width: how far beside the middle plane, along which meshes like to have edges, the centre is cut
+ADVICE = "see that up and forward say where roof and nose point, and that faces point outward (else mesh.invert())"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +51,11 @@ class Vehicle:
         """Raises EmptyMesh, MeasureError, InputError."""
         shape = oriented(mesh, forward, up)
         whole = surface(shape).required("faces with an area")
-        layer = LAYER * float(np.ptp(whole.corners[..., 0]))
+        size = [float(np.ptp(whole.corners[..., axis])) for axis in range(3)]
+        if min(size) <= FLAT * max(size):
+            raise MeasureError("expected a body, got one of {:.6g} by {:.6g} by {:.6g}".format(*size))
+        check_whole(shape)
+        layer = LAYER * size[0]
         ends = (lowest(whole, "x", layer), highest(whole, "x", layer), lowest(whole, "z", layer))
         return cls(shape, whole, *ends, highest(whole, "z", layer), middle(whole, "y", layer))
 
@@ -61,11 +73,22 @@ class Vehicle:
         """x at a share of the length from the nose."""
         return self.nose + share * self.length
 
-    @property
+    @cached_property
     def centre(self) -> Facets:
-        """The section along the middle."""
+        """The section along the middle. Raises MeasureError where the body lies on its roof."""
         across = float(np.ptp(self.whole.corners[..., 1]))
-        return section(self.shape, "y", self.middle + CENTRE * across)
+        cut = section(self.shape, "y", self.middle + CENTRE * across)
+        x, z = np.moveaxis(self.whole.corners[..., [0, 2]], -1, 0)
+        fore, aft = (float(self.station(share)) for share in (STATIONS[0], STATIONS[-1]))
+        amid = cut.between(x=(fore, aft)).corners[..., 2]
+        if amid.size and amid.min() - float(self.ground) < LOWEST * float(self.height):
+            out = [z[beyond].max(initial=-np.inf) - amid.max() for beyond in (x < fore, x > aft)]
+            if min(out) > WHEELS * float(self.height):
+                raise MeasureError(
+                    "expected wheels below the body, got a body that lies on its middle, with parts that stand out "
+                    "above it fore and aft, as one upside down has wheels; say where its roof points by up="
+                )
+        return cut
 
 
 @measure(simple_car, check_axes, length="L", width="L", height="L", roof_height="L", ground_clearance="L")
@@ -75,30 +98,48 @@ def vehicle(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Num
     `length` and `height` are those of the box. `width` is that of cross-sections between the axles, averaged over those
     within 1 % of the median one. `roof_height` is the highest point of the centre section, `ground_clearance` the
     height that most of the underbody has there between the axles; both from the lowest point, where the tyres stand.
+    A body that lies on its underbody, or whose width varies there, is no vehicle: `extents` has the sizes of its box.
     """
     body = Vehicle.of(mesh, forward, up)
-    centre = body.centre
+    centre = body.centre.required("a section along the middle", ADVICE)
     layer = LAYER * float(body.length)
     return {
         "length": body.length,
         "width": _width(body),
         "height": body.height,
-        "roof_height": highest(centre, "z", layer) - body.ground,
+        "roof_height": minimum(highest(centre, "z", layer), body.top) - body.ground,
         "ground_clearance": clearance(body, centre),
     }
 
 
 def clearance(body: Vehicle, centre: Facets) -> Quantity:
-    """How high the underbody lies above the ground: the height that most of it has in the middle, between the axles."""
+    """How high the underbody lies above the ground: the height that most of it has in the middle, between the axles.
+
+    Raises MeasureError where there is none, or it lies on the ground.
+    """
     span = (body.station(STATIONS[0]), body.station(STATIONS[-1]))
     low = (body.ground, body.ground + UNDER * body.height)
-    floor = centre.facing("-z").between(x=span, z=low).required("an underbody between the axles")
-    return line(floor, within=ROUGH * float(body.length)).point[2] - body.ground
+    floor = centre.facing("-z").between(x=span, z=low).required("an underbody that looks down between the axles", ADVICE)
+    free = line(floor, within=ROUGH * float(body.length)).point[2] - body.ground
+    if not float(free) > LOWEST * float(body.height):
+        raise MeasureError(
+            "expected an underbody above the ground, got one that lies on it: wheels or stilts are missing, or up= does "
+            "not say where the roof points; the measure extents has length, width and height of any body"
+        )
+    return free
 
 
 def _width(body: Vehicle) -> Quantity:
     cuts = [section(body.shape, "x", body.station(share)) for share in STATIONS]
     layer = SIDE * float(np.ptp(body.whole.corners[..., 1]))
     widths = [extent(cut, "y", layer) for cut in cuts if len(cut)]
-    typical = float(np.median([float(width) for width in widths]))
-    return mean([width for width in widths if abs(float(width) - typical) <= ALIKE * typical])
+    found = np.array([float(width) for width in widths])
+    if len(found) < len(cuts):
+        raise MeasureError(f"width: expected a body all along the middle, got {len(found)} of {len(cuts)} cross-sections")
+    alike = np.abs(found - np.median(found)) <= ALIKE * np.median(found)
+    if alike.mean() < MOST:
+        raise MeasureError(
+            f"width: expected a body as wide at most stations from {STATIONS[0]:.0%} to {STATIONS[-1]:.0%} of its "
+            f"length, got {found.min():.6g} to {found.max():.6g}; {ADVICE}"
+        )
+    return mean([width for width, kept in zip(widths, alike, strict=True) if kept])

@@ -40,8 +40,7 @@ class WettedArea:
 
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivative by the vertices (1, V, 3). Raises as a call does, and where parts overlap or are loose."""
-        if not mesh.is_watertight:
-            watertight(mesh)
+        if watertight(mesh) is not mesh:
             raise MeasureError("wetted-area: no derivative for loose triangles; join coinciding vertices first")
         shells = _outer(np.asarray(mesh.vertices), np.asarray(mesh.faces))
         parts = sum(_size(*shell) for shell in shells)
@@ -60,7 +59,8 @@ def _outer(vertices: Array, faces: Array) -> list[tuple[Array, Array]]:
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
     joined = coo_array((np.ones(len(ends), bool), tuple(ends.T)), (len(vertices), len(vertices)))
     count, label = connected_components(joined, directed=False)
-    a, b, c = (vertices[faces[:, k]] - vertices.mean(axis=0) for k in range(3))
+    corners = vertices[faces]
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
     volume = np.bincount(label[faces[:, 0]], (a * np.cross(b, c)).sum(axis=1), count)
     shells = [(vertices, faces[label[faces[:, 0]] == k]) for k in np.flatnonzero(volume > 0)]
     if not shells:

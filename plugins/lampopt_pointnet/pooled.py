@@ -13,6 +13,7 @@ from .cloud import Cloud
 
 HIDDEN = 128  # neurons of the PointNet's first layer
 COARSE, FINE = 0.5, 4.0  # scales of its weights for places
+ROUND = 0.1  # ε of a rectified neuron, whose activations are about 1
 LONGEST, SHORTEST = 1.0, 12.0  # wave numbers [rad/scale]: a piece of a cloud is no longer than 1.2 rad of the shortest
 BLOCK = 64  # triangles looked at together: what is worked on then stays in the processor's cache
 ByCloud = tuple[Array, Array, Array]
@@ -22,8 +23,8 @@ ByCloud = tuple[Array, Array, Array]
 class PointNet:
     """Two layers of rectified neurons shared by all points, then their mean (Qi et al. 2017), never trained.
 
-    The mean, not the maximum of the published PointNet: that hangs on single points, so on how a surface is cut into
-    faces.
+    Rectified without a corner, by (x + √(x² + ε²)) / 2: what is pooled is smooth in the vertices. The mean, not the
+    maximum of the published PointNet: that hangs on single points, so on how a surface is cut into faces.
 
     Parameters
     ----------
@@ -49,16 +50,17 @@ class PointNet:
         second = rng.normal(0, np.sqrt(2 / HIDDEN), (HIDDEN, neurons))
         return cls(first, first_bias, second, rng.normal(0, 0.5, neurons))
 
-    def _layers(self, cloud: Cloud, rows: slice) -> tuple[Array, Array]:
+    def _layers(self, cloud: Cloud, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """Activations of both layers, each followed by its slopes."""
         points = np.column_stack([cloud.corners[rows].mean(axis=1), cloud.normals[rows]])
-        hidden = np.maximum(points @ self.first + self.first_bias, 0)
-        return hidden, np.maximum(hidden @ self.second + self.second_bias, 0)
+        hidden, by_hidden = _rectified(points @ self.first + self.first_bias)
+        return hidden, by_hidden, *_rectified(hidden @ self.second + self.second_bias)
 
     def __call__(self, cloud: Cloud) -> Array:
         """(K,) mean activation of each neuron by area, a triangle standing in its centroid."""
         sums = np.zeros(len(self.second_bias))
         for rows in _blocks(cloud):
-            sums += cloud.areas[rows] @ self._layers(cloud, rows)[1]
+            sums += cloud.areas[rows] @ self._layers(cloud, rows)[2]
         return sums / cloud.areas.sum()
 
     def pullback(self, cloud: Cloud, gradient: Array) -> list[ByCloud]:
@@ -66,10 +68,10 @@ class PointNet:
         whole, by_cloud = cloud.areas.sum(), _empty(cloud, len(gradient))
         level = gradient @ self(cloud)
         for rows in _blocks(cloud):
-            hidden, active = self._layers(cloud, rows)
+            _, hidden_slopes, active, slopes = self._layers(cloud, rows)
             for row, (by_corners, by_normals, by_areas), mean in zip(gradient, by_cloud, level, strict=True):
-                by_active = cloud.areas[rows, None] / whole * row * (active > 0)
-                by_point = ((by_active @ self.second.T) * (hidden > 0)) @ self.first.T
+                by_active = cloud.areas[rows, None] / whole * row * slopes
+                by_point = ((by_active @ self.second.T) * hidden_slopes) @ self.first.T
                 by_corners[rows] = by_point[:, None, :3] / 3
                 by_normals[rows] = by_point[:, 3:]
                 by_areas[rows] = (active @ row - mean) / whole
@@ -154,6 +156,13 @@ class Waves:
                 by_normals[rows] = area * (sine @ ways[:, 3:])
                 by_areas[rows] = (damping * cosine) @ row
         return by_cloud
+
+
+def _rectified(entering: Array) -> tuple[Array, Array]:
+    """Smoothly rectified activations and their slopes."""
+    root = np.sqrt(entering * entering + ROUND**2)
+    active = (entering + root) / 2
+    return active, active / root
 
 
 def _blocks(cloud: Cloud) -> Iterator[slice]:
