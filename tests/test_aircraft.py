@@ -13,7 +13,7 @@ from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.plugins import Plugins
 from lampopt.protocols import Gradient
 from lampopt.testing import check_measure
-from lampopt_families.bwb import HIGH, LOW, THICKNESS, bwb_mesh, camber, half_thickness, stations
+from lampopt_families.bwb import HIGH, LOW, NAMES, THICKNESS, bwb_mesh, camber, half_thickness, stations
 from lampopt_measure.aircraft import Bwb, Stations, Wing, example_wing
 from lampopt_measure.silhouette import FrontalArea
 
@@ -280,3 +280,10 @@ def test_inward_faces_are_refused():
     mesh.invert()
     with pytest.raises(MeasureError, match="turn the faces round"):
         Bwb(model="half")(mesh)
+
+
+def test_a_weak_kink_beside_a_strong_one_is_found():
+    """An aircraft of the range whose first kink turns the edges by 2° and 1°, the second by far more."""
+    parameters = np.array([113.56, 127.25, 572.86, 655.33, 244.77, 64.36, 47.94, 50.19, 39.41])
+    found = dict(zip(Bwb.names, Bwb()(bwb_mesh(parameters)), strict=True))
+    assert [found[name] for name in NAMES] == pytest.approx(parameters, rel=1e-3)

@@ -20,6 +20,8 @@ ACROSS = (0.02, 0.97)  # of the half span: where sections are taken; the rim at 
 FIRST = 64  # sections that the kinks are sought with
 CLOSER = 32  # more of them, from just before the first kink to just after the second
 CANDIDATES = 48  # places that a kink may lie at, to begin with
+TRIES = 5  # pairs of kinks that the search is started from
+UNLIKE = 0.06  # of the half span, that one of both lies from those of other tries
 DIGITS = 4  # of the half span, that a kink is sought to before lines are fitted
 PANEL = 48  # sections that each panel's lines are fitted to, at least; at most twice as many
 OFF = 0.382  # of the pitch of the grids they lie on, so that none lies on rows of vertices spaced evenly
@@ -201,7 +203,25 @@ def _fitted_kinks(at: Array, ends: Array) -> Array:
         apart: Array = bend @ np.linalg.lstsq(bend, ends)[0] - ends
         return apart.ravel()
 
-    return np.sort(least_squares(residuals, pairs[left.argmin()], x_scale=1 / FIRST, loss="soft_l1", f_scale=SMALL).x)
+    tries = [
+        least_squares(residuals, start, x_scale=1 / FIRST, loss="soft_l1", f_scale=SMALL)
+        for start in _apart(pairs[np.argsort(left, kind="stable")])
+    ]
+    return np.sort(min(tries, key=lambda found: found.cost).x)
+
+
+def _apart(pairs: Array) -> list[Array]:
+    """The first of `pairs` (m, 2), and the next ones that are unlike those before.
+
+    Where no place lies on a strong kink, two beside it fit better than one there and one at a weak kink.
+    """
+    chosen: list[Array] = []
+    for pair in pairs:
+        if all(np.abs(pair - other).max() > UNLIKE for other in chosen):
+            chosen.append(pair)
+            if len(chosen) == TRIES:
+                break
+    return chosen
 
 
 def _bent(at: Array, kinks: Array) -> Array:
