@@ -8,6 +8,7 @@ python -m benchmarks.measures --table time         milliseconds a measure on a c
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import os
 import platform
@@ -57,6 +58,7 @@ def measured(bench: Bench, known: Known, parameters: NDArray[np.float64]) -> Row
         return {"true": truth, **{made: {a: values.get(a) for a in truth} for made, values in found.items()}}
 
     code = [source(bench.plugins.get("measure", "extents").resolve()), source(type(family))]
+    code.append(Path(inspect.getfile(Known)).read_text(encoding="utf-8"))
     return bench.scores.get(["measures", family.name, parameters.tolist(), code], make)
 
 
@@ -119,7 +121,10 @@ def compared(name: str, factor: float, made: str, rows: Sequence[Row], least: fl
             truth[address].append(value)
             found[address].append(row[made][address])
     lines = []
+    own = families()[name].own if made == MADE[0] else frozenset()  # there it would be held against itself
     for address, given in truth.items():
+        if address in own:
+            continue
         true, missing = np.array(given), sum(value is None for value in found[address])
         values = np.array([true.mean() if v is None else v for v in found[address]], float)
         about = {"f": factor, "on": made, "designs": len(true), "missing": missing}

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -29,7 +30,10 @@ from .recut import recut
 
 CHUNK = 50  # shapes kept together
 FAMILIES: dict[str, ModuleType] = {"car": car, "bwb": bwb}
-SURROGATES = {"pointnet-lasso": PointNetLasso(), "fourier-ridge": FourierRidge()}
+SURROGATES: dict[str, PointNetLasso | FourierRidge] = {
+    "pointnet-lasso": PointNetLasso(),
+    "fourier-ridge": FourierRidge(),
+}
 RESULT = ROOT / "benchmarks" / "results" / "surrogates.json"
 LEVEL, FAR, SEED = 0.9, 3.0, 0
 FEW = 200  # shapes that a Gaussian process looks for its kernel on: on all of them that takes minutes
@@ -118,7 +122,7 @@ class Shapes:
         return whole.pop("parameters"), whole, refused
 
 
-def _keep(path: Path, **arrays: Array) -> None:
+def _keep(path: Path, **arrays: Any) -> None:
     partial = path.with_suffix(".partial.npz")
     np.savez(partial, **arrays)
     partial.replace(path)

@@ -1,4 +1,4 @@
-"""What is true of a family's designs, by its parameters: closed forms, and of free-form bodies the true mesh's own."""
+"""What is true of a family's designs, by its parameters: closed forms; of a car's volume and area, its mesh's own."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ Values = dict[str, float]
 
 @dataclass(frozen=True)
 class Known:
-    """A family and what is true of its designs: address → value, from parameters and the true mesh."""
+    """A family and what is true of its designs: address → value, from parameters and the true mesh.
+
+    `own` are addresses whose truth is the true mesh's own value: what is measured on that mesh says nothing of them.
+    """
 
     family: Family
     more: Callable[[Values, Trimesh], Values]
+    own: frozenset[str] = frozenset()
 
     def at(self, parameters: NDArray[np.float64], mesh: Trimesh) -> Values:
         given = dict(zip(self.family.names, parameters.tolist(), strict=True))
@@ -72,6 +76,7 @@ def shadow(mesh: Trimesh, along: int) -> float:
 
 
 def of_car(p: Values, mesh: Trimesh) -> Values:
+    """No closed form knows volume and area; a mesh of edges of 15 mm has 0.05 % more volume and 0.5 % more area."""
     return {
         "vehicle.height": p["roof_height"],
         "wheels.track_rear": p["track"],
@@ -83,7 +88,28 @@ def of_car(p: Values, mesh: Trimesh) -> Values:
 
 
 def of_ahmed(p: Values, mesh: Trimesh) -> Values:
-    return {"frontal-area.frontal_area": shadow(mesh, 0), "volume.volume": float(mesh.volume)}
+    """On its stilts, of the smooth body: chords are no part of it."""
+    known = ahmed.derived(np.array(list(p.values())))
+    return {
+        "frontal-area.frontal_area": known["frontal_area"],
+        "wetted-area.wetted_area": known["area"],
+        "volume.volume": known["volume"],
+    }
+
+
+def half_volume(at: bwb.Stations) -> float:
+    """Volume of the right half [mm³]: sections of 2√3/5 t c², t and c linear between stations; half an ellipse ends it.
+
+    Over a panel it is a cubic in the share u of its width, whose moments are ∫ u^k du, at the tip ∫ u^k √(1 − u²) du.
+    """
+    ends = np.r_[at.y[:3], at.y[3] - bwb.TIP * at.chord[3], at.y[3]]
+    chord, thickness = (np.interp(ends, at.y, values) for values in (at.chord, at.thickness))
+    panel, tip = (1, 1 / 2, 1 / 3, 1 / 4), (np.pi / 4, 1 / 3, np.pi / 16, 2 / 15)
+    total = 0.0
+    for k, moments in enumerate((panel, panel, panel, tip)):
+        c, t = ((values[k], values[k + 1] - values[k]) for values in (chord, thickness))
+        total += (ends[k + 1] - ends[k]) * float(np.convolve(t, np.convolve(c, c)) @ moments)
+    return 2 * np.sqrt(3) / 5 * total
 
 
 def of_bwb(p: Values, mesh: Trimesh) -> Values:
@@ -95,7 +121,7 @@ def of_bwb(p: Values, mesh: Trimesh) -> Values:
         "wing.planform_area": area,
         "wing.aspect_ratio": span**2 / area,
         "wing.mean_chord": area / span,
-        "volume.volume": float(mesh.volume),
+        "volume.volume": half_volume(at),
     }
     for percent in (25, 50, 75):
         y = percent / 100 * at.y[-1]
@@ -111,7 +137,7 @@ def families() -> Mapping[str, Known]:
     """Everything that is measured, and what is true of it."""
     return {
         "plate": Known(plate.family(), of_plate),
-        "car": Known(car.FAMILY, of_car),
+        "car": Known(car.FAMILY, of_car, frozenset({"wetted-area.wetted_area", "volume.volume"})),
         "ahmed": Known(ahmed.FAMILY, of_ahmed),
         "bwb": Known(bwb.family(), of_bwb),
     }

@@ -261,6 +261,7 @@ def test_a_state_of_something_else_is_refused():
         {**state, "0.curve.leaf": state["0.curve.leaf"][:, 1:]},
         {**state, "0.curve.column": state["0.curve.column"] + 5},
         {**state, "0.curve.column": state["0.curve.column"] + 0.5},
+        {**state, "0.curve.column": state["0.curve.column"] - 9},
         {**state, "0.scale.rate": state["0.scale.rate"][:1]},
         {**state, "evidence.chosen": state["evidence.chosen"] + 1},
         {**state, "evidence.r2": np.full((1, 1), np.inf)},
@@ -379,9 +380,9 @@ def test_process_is_honest_on_small_tables(noise):
     claimed, true, covered = [], [], []
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        x, at = (rng.uniform(-1, 1, (rows, 8 if noise == 1 else 3)) for rows in (40, 400))
+        x, at = (rng.normal(size=(rows, 8 if noise == 1 else 3)) for rows in (40, 400))
         y, truth = ((noise < 1) * np.sin(2 * z[:, 0] + z[:, 1]) + noise * rng.normal(size=len(z)) for z in (x, at))
-        model = fit(GaussianProcess(), x, y, seed)
+        model = fit(GaussianProcess(folds=5), x, y, seed)
         claimed.append(model.evidence.r2[0, 0])
         true.append(1 - ((model(at)[:, 0] - truth) ** 2).mean() / truth.var())
         low, high = model.interval(at, 0.9)[:, 0].T
@@ -392,9 +393,9 @@ def test_process_is_honest_on_small_tables(noise):
 
 
 def test_best_claims_no_skill_on_noise():
-    for seed in range(2):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
-        model = fit(Best(folds=5), rng.normal(size=(40, 8)), rng.normal(size=40))
+        model = fit(Best(5, "linear quadratic gaussian-process"), rng.normal(size=(40, 8)), rng.normal(size=40))
         assert model.cross_validated["y0"]["r2"] < 0.1
 
 
@@ -562,7 +563,7 @@ def test_odd_tables_are_learned_without_a_murmur(regression, odd):
 
 def test_fits_in_threads_are_those_of_one_and_leave_the_filters_of_warnings():
     x = drawn(40, 3)
-    jobs = [(regression, seed) for regression in QUICK for seed in range(4)]
+    jobs = [(regression, seed) for regression in QUICK for seed in range(2)]
     alone = [fit(regression, x, wavy(x), seed)(x) for regression, seed in jobs]
     before = list(warnings.filters)
     with ThreadPoolExecutor(8) as pool:

@@ -12,7 +12,7 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array
 
-from .curve import check_arrays, check_indices
+from .curve import check_arrays, check_indices, check_range
 
 if TYPE_CHECKING:
     from sklearn.ensemble import HistGradientBoostingRegressor
@@ -56,6 +56,7 @@ class Trees:
             raise InputError(f"trees: expected 1 to {2 * MOST_LEAVES - 1} nodes, got {shape[1]}")
         check_arrays(self, limit=shape)
         check_indices(self, column=shape, left=shape, right=shape)
+        check_range("column", self.column, -1, np.inf)
         onward = np.minimum(self.left, self.right) > np.arange(shape[1])
         if not (onward & (np.maximum(self.left, self.right) < shape[1]))[self.column >= 0].all():
             raise InputError("trees: expected nodes that lead on to later ones, got some that lead back or nowhere")
