@@ -41,6 +41,7 @@ FULL = 800, 200, 800, 200  # to learn from (paper, appendix H), to test on, held
 QUICK = 100, 50, 0, 50
 RECUT = {128: 40, 64: 40}  # of the test shapes, as marching cubes on so many cells give them back
 QUICK_RECUT = {64: 5}
+LEARNT, LEARNT_CELLS = 200, 64  # shapes of marching cubes that a second measure is learned from
 Tell = Callable[[str], None]
 EDGE, CHORDWISE, SPANWISE = 60.0, 40, 60  # coarser meshes than by default: thousands are made
 
@@ -146,6 +147,7 @@ def judged(shapes: Shapes, sizes: tuple[int, int, int, int], recuts: Mapping[int
         held = np.concatenate([test, others])
         seen_held = {name: np.concatenate([seen_test[name], seen_others[name]]) for name in SURROGATES}
     again = {cells: shapes.part("test", count, 1.0, tell, cells) for cells, count in recuts.items()}
+    cut, seen_cut, _ = shapes.part("train", min(LEARNT, learned_from), 1.0, tell, LEARNT_CELLS)
     row: Row = {"parameters": names, "train": len(train), "test": len(test), "held_out": len(held)}
     row |= {"far": len(beyond), "refused_draws": refused, "factor": FAR}
     for name, surrogate in SURROGATES.items():
@@ -158,6 +160,11 @@ def judged(shapes: Shapes, sizes: tuple[int, int, int, int], recuts: Mapping[int
             str(cells): {"shapes": len(truth)} | told(measure, truth, seen_again[name], len(truth))
             for cells, (truth, seen_again, _) in again.items()
         }
+        alike = surrogate.fit_features(shapes.scale, seen_cut[name], cut, names, [""] * len(names), seed=SEED)
+        truth, seen_again, _ = again[LEARNT_CELLS]
+        row[name]["learned_from_recut"] = {"cells": LEARNT_CELLS, "train": len(cut)} | told(
+            alike, truth, seen_again[name], len(truth)
+        )
     row["compared"] = compared(seen, train, seen_test, test)
     return row
 

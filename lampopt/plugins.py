@@ -10,7 +10,7 @@ import importlib
 import logging
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -180,6 +180,11 @@ class Plugins:
                 f"{kind} {spec.name!r}: unknown option {', '.join(map(repr, unknown))}; "
                 f"known are: {', '.join(f'{n}: {t}' for n, t in known.items()) or 'none'}"
             )
+        if missing := [option for option in required_options(cls) if option not in spec.options]:
+            raise PluginError(
+                f"{kind} {spec.name!r}: expected the option {', '.join(map(repr, missing))}, which has no default; "
+                f"known are: {', '.join(f'{n}: {t}' for n, t in known.items())}"
+            )
         for option, value in spec.options.items():
             _check_type(f"{kind} {spec.name!r}: option {option!r}", value, known[option])
         try:
@@ -292,6 +297,12 @@ def known_options(cls: type) -> dict[str, str]:
     """The option names of a plugin class (its dataclass fields) with their declared types, as text."""
     declared = fields(cls) if is_dataclass(cls) else ()
     return {f.name: getattr(f.type, "__name__", str(f.type)) for f in declared if f.init}
+
+
+def required_options(cls: type) -> list[str]:
+    """The options of a plugin class that have no default."""
+    declared = fields(cls) if is_dataclass(cls) else ()
+    return [f.name for f in declared if f.init and f.default is MISSING and f.default_factory is MISSING]
 
 
 _CHECKED: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}

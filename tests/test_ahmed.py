@@ -81,6 +81,19 @@ def test_options_that_make_no_family(options, message):
         AhmedSource(**options)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"edge": edge}, "edge: expected 3 to 100 mm, got") for edge in (True, "12", np.nan, 0, -12.0, 1e300)),
+        *(({"stilts": stilts}, "stilts: expected true or false, got") for stilts in (1, "no", None)),
+    ],
+)
+def test_options_that_make_no_mesh(options, message):
+    for refused in (lambda: AhmedSource(**options), lambda: ahmed_mesh(PUBLISHED, **options)):
+        with pytest.raises(InputError, match=f"ahmed: {message}"):
+            refused()
+
+
 def test_the_kit():
     check_source(AhmedSource(count=3, design="lhs", edge=40.0))
 

@@ -283,3 +283,33 @@ def test_without_aerosandbox(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "aerosandbox", None)
     with pytest.raises(PluginError, match=r"not installed: pip install 'lampopt\[aero\]'"):
         BwbSource(count=1, labels="vlm")()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"half": half}, "half: expected true or false, got") for half in (1, "no", None)),
+        *(
+            ({option: value}, f"{option}: expected a whole number from {least} to 2,000, got")
+            for option, least in (("chordwise", 4), ("spanwise", 10))
+            for value in (True, "64", 64.0, np.nan, 0, -64, 10**9)
+        ),
+    ],
+)
+def test_options_that_make_no_mesh(options, message):
+    for refused in (lambda: BwbSource(**options), lambda: bwb_mesh(MIDDLE, **options)):
+        with pytest.raises(InputError, match=f"bwb: {message}"):
+            refused()
+
+
+def test_coefficients_from_threads(asb):
+    """The same as one after the other, and the filters of warnings stay as they are."""
+    import warnings
+    from concurrent.futures import ThreadPoolExecutor
+
+    jobs = [(changed(name, LOW[k]), method) for k, name in enumerate(NAMES[:4]) for method in ("aerobuildup", "vlm")]
+    alone = [coefficients(*job) for job in jobs]
+    before = list(warnings.filters)
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(lambda job: coefficients(*job), jobs)) == alone
+    assert warnings.filters == before

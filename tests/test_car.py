@@ -104,6 +104,21 @@ def test_options_that_make_no_family(options, message):
         CarSource(**options)
 
 
+@pytest.mark.parametrize("edge", [True, "36", None, np.nan, 0, -36.0, 14.9, 1e300, 10**400])
+def test_edges_that_make_no_mesh(edge):
+    """In the source and in the mesh alike, which would be an endless one or none."""
+    for refused in (lambda: CarSource(edge=edge), lambda: car_mesh(MIDDLE, edge=edge)):
+        with pytest.raises(InputError, match="car: edge: expected 15 to 120 mm, got"):
+            refused()
+
+
+@pytest.mark.parametrize("option", ["count", "seed"])
+@pytest.mark.parametrize("value", [True, 2.0, "3", None, -1, 10**19])
+def test_draws_that_cannot_be_made(option, value):
+    with pytest.raises(InputError, match=f"car: {option}: expected a whole number"):
+        CarSource(**{option: value})
+
+
 # the solid
 
 

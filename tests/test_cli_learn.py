@@ -127,3 +127,21 @@ def test_a_design_is_measured_with_options(cars, tmp_path, capsys):
     code, said = asked(capsys, "make", bank, "--target", "length=1.5", "--measure", "hole:wich=2")
     assert code == 2
     assert "unknown option 'wich'" in said["error"]["message"]
+
+
+def test_a_model_needs_no_shapes(tmp_path, capsys):
+    """A table of parameters and labels alone."""
+    rng = np.random.default_rng(2)
+    rows = [f"{a},{b},{3 * a - b}" for a, b in rng.uniform(1, 2, (20, 2))]
+    (tmp_path / "runs.csv").write_text("\n".join(["roof [m],ramp [deg],drag", *rows]))
+    args = ["--source", "table", "--set", f"table={tmp_path / 'runs.csv'}", "--set", "labels=drag"]
+    code, said = asked(capsys, "model", "fit", "linear", *args, "--out", tmp_path / "drag.model")
+    assert code == 2
+    assert "is read with meshes='none'" in said["error"]["message"]
+    args += ["--set", "meshes=none"]
+    assert asked(capsys, "model", "fit", "linear", *args, "--out", tmp_path / "drag.model")[0] == 0
+    code, said = asked(capsys, "model", "predict", tmp_path / "drag.model", "--at", "roof=1.5", "--at", "ramp=1.5")
+    assert said["values"]["drag"]["value"] == pytest.approx(3.0, abs=0.01)
+    code, said = asked(capsys, "surrogate", "fit", "calibrated", *args, "--out", tmp_path / "drag.measure")
+    assert code == 2
+    assert "has no mesh: it serves for models" in said["error"]["message"]

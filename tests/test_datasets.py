@@ -101,6 +101,16 @@ def test_missing_meshes_are_named(cars):
     assert "Harvard Dataverse" in message
 
 
+def test_designs_without_a_mesh_serve_for_models(cars):
+    found = DrivAerNetPlus(str(cars), missing="keep")()
+    assert found.names == ("E_S_WW_WM_001", "E_S_WW_WM_002", "N_S_WWS_WM_010", "N_S_WWS_WM_011")
+    np.testing.assert_allclose(found.meshes[2].extents, (4.6, 1.8, 1.4), rtol=1e-6)
+    with pytest.raises(InputError, match="this exemplar has no mesh: it serves for models"):
+        found.meshes[3]
+    shutil.rmtree(cars / "3DMeshesSTL")
+    assert len(DrivAerNetPlus(str(cars), missing="keep")()) == 4  # none of them has one
+
+
 @pytest.mark.parametrize(
     ("options", "names"),
     [
@@ -140,7 +150,7 @@ def test_the_first_release_has_drag_and_no_parameters(cars):
         ({"style": "X"}, "no design of style 'X'"),
         ({"split": "dev"}, "split: expected one of train, val, test, all, got 'dev'"),
         ({"split": "val", "style": "E_"}, "the split 'val' has none of the designs of style 'E_'"),
-        ({"missing": "skip"}, "missing: expected one of error, leave out, got 'skip'"),
+        ({"missing": "skip"}, "missing: expected one of error, leave out, keep, got 'skip'"),
         ({"count": -1}, "count: expected a whole number, 0 for all, got -1"),
         ({"unit": "mm", "count": 1}, "got one of 4.6 mm; unit='m' would fit"),
         ({"unit": "cubit", "count": 1}, "unit: expected one of m, mm"),

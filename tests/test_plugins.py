@@ -538,3 +538,29 @@ def test_a_study_says_what_it_requires(bank):
 def test_a_required_plugin_may_be_one_that_only_observes(bank):
     study = lampopt.Study(bank, level="alpha", requires=("watch",))
     assert lampopt.run(study, plugins=small.plugins(("watch", Observer()))).accepted
+
+
+@dataclass(frozen=True)
+class Needy:
+    """A measure with an option that has no default."""
+
+    where: str
+    how: int = 3
+    names = ("size",)
+    units = ("L",)
+
+    def __call__(self, mesh):
+        return mesh.extents[:1]
+
+
+class Needing:
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"needy": Needy}
+
+
+def test_an_option_without_a_default_is_asked_for():
+    plugins = Plugins.load(extra=[("needing", Needing())])
+    with pytest.raises(PluginError, match=r"expected the option .where., which has no default; known are"):
+        plugins.make("measure", Spec("needy", how=2))
+    assert plugins.make("measure", Spec("needy", where="here")) == Needy("here")

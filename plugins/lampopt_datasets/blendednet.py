@@ -105,7 +105,7 @@ class BlendedNet:
             by_geometry.setdefault((case.split, case.geometry), []).append(case)
         rows = cases if self.each == "case" else [own[0] for own in by_geometry.values()]
         kept, files = self._kept(download, cases, rows)
-        check_size(MeshFiles(download.folder, files)[0], self.unit, SHORTEST, LONGEST, TITLE)
+        check_size(MeshFiles(download.folder, files), self.unit, SHORTEST, LONGEST, TITLE)
         titles = (*PLANFORM, *FLIGHT) if self.each == "case" else PLANFORM
         label_titles = COEFFICIENTS if self.each == "case" else (*FLIGHT, *COEFFICIENTS)
         chosen = named_options(self.labels) or list(label_titles)
@@ -124,7 +124,7 @@ class BlendedNet:
     def _kept(
         self, download: Download, cases: Sequence[Case], rows: Sequence[Case]
     ) -> tuple[list[Case], tuple[str, ...]]:
-        """The exemplars that have a mesh, and its file: the case's own, the geometry's, or another case's of it."""
+        """The exemplars, and the mesh of each, "" without one: the case's own, the geometry's, another case's of it."""
         files = download.meshes(_key, (".vtk", ".stl", ".obj"))
         by_geometry: dict[Hashable, str] = {}
         for case in reversed(cases):
@@ -138,7 +138,7 @@ class BlendedNet:
         extra = [file for stem, file in files.items() if stem not in known]
         names = [self._name(case) for case in rows]
         kept = download.paired(names, found, extra, self.missing, self.count)
-        return [rows[row] for row in kept], tuple(file for row in kept if (file := found[row]) is not None)
+        return [rows[row] for row in kept], tuple(found[row] or "" for row in kept)
 
     def _name(self, case: Case) -> str:
         """Both splits count their cases from 0, so the split begins the name."""

@@ -8,23 +8,20 @@ from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.reading import brief, content, path_of
+from lampopt.reading import brief, content, path_of, plain_file
 from lampopt.types import Array, Parameter
 
 from .columns import Column, columns, first, read
-
-if TYPE_CHECKING:
-    from trimesh import Trimesh
+from .meshes import MeshFiles
 
 log = logging.getLogger("lampopt")
 ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".part")
 SHOWN = 5  # names of many that a message holds
-MISSING = ("error", "leave out")
+MISSING = ("error", "leave out", "keep")
 LONGEST_LIST = 2**24  # bytes of a list of ids
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
 
@@ -48,7 +45,7 @@ class Download:
     def of(cls, folder: str, title: str, place: str) -> Download:
         """What is in `folder` and below it. Raises InputError if there is no such folder, or nothing in it."""
         path = path_of(folder, f"{title}: folder")
-        if not path.is_dir():
+        if not os.path.isdir(path):  # False too for a name that is too long
             raise InputError(
                 f"{title}: no folder {brief(path)}; a relative path starts at {Path.cwd()}. The data: {place}"
             )
@@ -96,7 +93,7 @@ class Download:
         Raises
         ------
         InputError
-            If two files are of one design, or one is empty.
+            If two files are of one design, or one is empty or cannot be read.
         """
         found: dict[Hashable, str] = {}
         for file in self.files:
@@ -109,7 +106,11 @@ class Download:
                     f"{self.title}: {found[name]} and {file} in {self.folder} are both meshes of one design; name the "
                     "folder that counts with meshes="
                 )
-            if os.path.getsize(self.folder / file) == 0:
+            try:
+                size = plain_file(self.folder / file).stat().st_size
+            except InputError as error:  # a link that leads nowhere, or in a circle
+                raise InputError(f"{self.title}: {file} in {self.folder}: {error}") from error
+            if size == 0:
                 raise InputError(f"{self.title}: {file} in {self.folder} is empty: download it again")
             found[name] = file
         return found
@@ -117,10 +118,10 @@ class Download:
     def paired(
         self, names: Sequence[str], files: Sequence[str | None], extra: Collection[str], missing: str, count: int
     ) -> list[int]:
-        """Rows that are to be exemplars: the first `count` (0: all) of `names`, each with a mesh.
+        """Rows that are to be exemplars: the first `count` (0: all) of `names`.
 
-        Designs without a mesh are an error, or left out (`missing`); `extra`, meshes without a row, are counted in the
-        log.
+        Designs without a mesh are an error, left out, or kept without one (`missing`); `extra`, meshes without a row,
+        are counted in the log.
 
         Raises
         ------
@@ -133,10 +134,14 @@ class Download:
             raise InputError(f"{self.title}: count: expected a whole number, 0 for all, got {brief(repr(count))}")
         if extra:
             log.warning("%s: meshes without a row in the table are left out (%s)", self.title, few(extra))
+        if missing == "keep":
+            return list(range(len(names)))[: count or None]
         there = [row for row, file in enumerate(files) if file is not None]
         if not there:
             without = f", beside {len(extra):,} without a row," if extra else ""
-            raise self.absent(f"meshes of the designs in the table ({few(names)}){without}")
+            raise self.absent(
+                f"meshes of the designs in the table ({few(names)}){without} or missing='keep' for models,"
+            )
         if missing == "leave out":
             if lacking := [name for name, file in zip(names, files, strict=True) if file is None]:
                 log.warning("%s: designs without a mesh are left out (%s)", self.title, few(lacking))
@@ -145,7 +150,8 @@ class Download:
         if lacking := [names[row] for row in rows if files[row] is None]:
             raise InputError(
                 f"{self.title}: {len(rows) - len(lacking):,} of {len(rows):,} designs have a mesh in {self.folder}; "
-                f"missing are {few(lacking)}. Download them, or leave them out with missing='leave out'. "
+                f"missing are {few(lacking)}. Download them, leave those designs out with missing='leave out', or, for "
+                f"models, which need no shape, keep them with missing='keep'. "
                 f"The data: {self.place}"
             )
         return rows
@@ -179,9 +185,12 @@ def named_options(option: str) -> list[str]:
     return [name.strip() for name in option.split(",") if name.strip()]
 
 
-def check_size(mesh: Trimesh, unit: str, low: float, high: float, title: str) -> None:
-    """Raise InputError where `mesh`, read in `unit`, is longest outside `low` to `high` metres: a wrong unit."""
-    length = float(np.max(mesh.extents))
+def check_size(meshes: MeshFiles, unit: str, low: float, high: float, title: str) -> None:
+    """Raise InputError where the first mesh, read in `unit`, is no longer than `low` or longer than `high` metres."""
+    first_one = next((i for i, file in enumerate(meshes.files) if file), None)
+    if first_one is None:
+        return
+    length = float(np.max(meshes[first_one].extents))
     if unit not in METRES:
         raise InputError(f"{title}: unit: expected one of {', '.join(METRES)}, got {brief(repr(unit))}")
     if low <= length * METRES[unit] <= high:

@@ -85,8 +85,8 @@ class DrivAerML:
         known = values(labels, range(len(solved)), gaps=True, title=FORCES[self.reference])
         place = {run: row for row, run in enumerate(solved)}
         unsolved = np.full(len(labels), np.nan)
-        found = tuple(files[runs[row]] for row in rows)
-        check_size(MeshFiles(download.folder, found)[0], self.unit, SHORTEST, LONGEST, TITLE)
+        found = tuple(files.get(runs[row], "") for row in rows)
+        check_size(MeshFiles(download.folder, found), self.unit, SHORTEST, LONGEST, TITLE)
         titles = [column.name for column in parameters]
         return Exemplars(
             parameters=values(parameters, rows, gaps=False, title=GEOMETRY),

@@ -174,8 +174,8 @@ def _exemplars(title: str, asked: DrivAerNet | DrivAerNetPlus) -> Exemplars:
     rows = [chosen[i] for i in kept]
     parameters = [c for c in columns.values() if asked.parameters and c.numeric and not LABEL.fullmatch(c.name)]
     label_names, labels = _labels(download, tables, [ids[row] for row in rows], named_options(asked.labels))
-    found = tuple(files[ids[row]] for row in rows)
-    check_size(MeshFiles(download.folder, found)[0], asked.unit, SHORTEST, LONGEST, title)
+    found = tuple(files.get(ids[row], "") for row in rows)
+    check_size(MeshFiles(download.folder, found), asked.unit, SHORTEST, LONGEST, title)
     return Exemplars(
         parameters=values(parameters, rows, gaps=False, title=title),
         space=space([c.name for c in parameters], UNITS),

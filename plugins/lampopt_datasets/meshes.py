@@ -27,7 +27,10 @@ def inside(folder: Path, file: str) -> bool:
 
 @dataclass(frozen=True)
 class MeshFiles(Sequence["Trimesh"]):
-    """The meshes in `files`, relative to `folder`; every access loads anew and nothing is kept."""
+    """The meshes in `files`, relative to `folder`; every access loads anew and nothing is kept.
+
+    "" stands for an exemplar without a mesh: its parameters and labels can be used, its mesh is an error.
+    """
 
     folder: Path
     files: tuple[str, ...]
@@ -43,6 +46,8 @@ class MeshFiles(Sequence["Trimesh"]):
         if isinstance(index, slice):
             return MeshFiles(self.folder, self.files[index])
         file = self.files[index]
+        if not file:
+            raise InputError("this exemplar has no mesh: it serves for models, which tell labels from parameters alone")
         if not inside(self.folder, file):  # again: a link may have been put there since the table was read
             raise InputError(f"mesh {brief(file)}: leads out of the folder {self.folder}")
         path = self.folder / file

@@ -23,6 +23,7 @@ from .meshes import MeshFiles, inside
 
 log = logging.getLogger("lampopt")
 MESH = "mesh"
+NONE = "none"  # of `meshes`: there are no shapes
 DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])\s*(\..*)?", re.IGNORECASE | re.DOTALL)  # on Windows
 
 
@@ -39,7 +40,7 @@ class Table:
         CSV (UTF-8, commas, one header line) or Parquet file.
     meshes
         Folder of STL, OBJ, PLY, OFF, GLB, glTF, 3MF or COLLADA files, which no path may leave; by default the table's
-        own.
+        own. `none`: a table of parameters and labels without shapes, for models; a column `mesh` is not looked at.
     labels
         Comma-separated names of columns that are labels; their cells may be empty.
     unit
@@ -74,17 +75,18 @@ class Table:
             if not isinstance(getattr(self, option), str):
                 raise InputError(f"{option}: expected text, got {short(getattr(self, option))}")
         path = Path(self.table)
-        folder = Path(self.meshes) if self.meshes else path.parent
+        shapeless = self.meshes == NONE
+        folder = Path(self.meshes) if self.meshes and not shapeless else path.parent
         data = read(path)
         found = columns(data, path)
         problems = [] if folder.is_dir() else [f"meshes: no folder {folder}; a relative path starts at {Path.cwd()}"]
         if data.num_rows == 0:
             problems.append("expected at least one row below the header, got none")
-        files = _files(found, problems)
+        files = ("",) * data.num_rows if shapeless else _files(found, problems)
         parameters, labels = self._chosen(found, problems)
         problems += first(chain.from_iterable(c.problems(gaps=False) for c in parameters))
         problems += first(chain.from_iterable(c.problems(gaps=True) for c in labels))
-        problems += first(_file_problems(files, folder))
+        problems += [] if shapeless else first(_file_problems(files, folder))
         space, label_space = _space(parameters, problems), _space(labels, problems)
         if problems:
             raise InputError(f"table {path} (rows count from 1 below the header):\n  " + "\n  ".join(problems))
@@ -92,7 +94,7 @@ class Table:
             parameters=_matrix(parameters, data.num_rows),
             space=space,
             meshes=MeshFiles(folder, files),
-            names=tuple(map(_stem, files)),
+            names=tuple(f"row_{i}" for i in range(1, data.num_rows + 1)) if shapeless else tuple(map(_stem, files)),
             labels=_matrix(labels, data.num_rows),
             label_space=label_space,
             unit=self.unit,
@@ -157,7 +159,10 @@ def _files(found: dict[str, Column], problems: list[str]) -> tuple[str, ...]:
     """The file names of column `mesh`, "" where a cell is empty."""
     if MESH not in found:
         hint = "; cells must be separated by commas" if any(";" in name or "\t" in name for name in found) else ""
-        problems.append(f"expected a column {MESH!r} with file names, got columns {_listed(found)}{hint}")
+        problems.append(
+            f"expected a column {MESH!r} with file names, got columns {_listed(found)}{hint}; a table "
+            f"without shapes, for models, is read with meshes={NONE!r}"
+        )
         return ()
     return tuple("" if cell is None else str(cell).strip() for cell in found[MESH].cells.to_pylist())
 

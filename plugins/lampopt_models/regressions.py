@@ -22,6 +22,8 @@ from .reach import Reach
 from .trees import MOST_LEAVES, Trees, boosted
 
 NEGLIGIBLE = 1e-6  # of a label's variance: what differs by less is as good
+MOST_TREES = 100_000  # beyond lies a slip
+MOST_FOLDS = 10_000
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class _Regression(ABC):
     name: ClassVar[str]
 
     def __post_init__(self) -> None:
-        _at_least(self.folds, 2, "folds")
+        _at_least(self.folds, 2, "folds", MOST_FOLDS)
 
     def fit(
         self,
@@ -139,7 +141,7 @@ class GaussianProcess(_Regression):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(self.search, 10, "search")
+        _at_least(self.search, 10, "search", MOST_ROWS)
         _at_least(self.most, 10, "most", MOST_ROWS)
         _at_least(self.anew, 0, "anew")
 
@@ -187,7 +189,7 @@ class BoostedTrees(_Regression):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _at_least(self.trees, 1, "trees")
+        _at_least(self.trees, 1, "trees", MOST_TREES)
         _at_least(self.leaves, 2, "leaves", MOST_LEAVES)
         if not 0 < self.rate <= 1:
             raise InputError(f"rate: expected a number above 0 and up to 1, got {self.rate!r}")
@@ -222,7 +224,7 @@ class Best:
     among: str = " ".join(SIMPLEST_FIRST)
 
     def __post_init__(self) -> None:
-        _at_least(self.folds, 2, "folds")
+        _at_least(self.folds, 2, "folds", MOST_FOLDS)
         if not self.among.split() or not set(self.among.split()) <= set(SIMPLEST_FIRST):
             raise InputError(f"among: expected names out of {', '.join(SIMPLEST_FIRST)}, got {self.among!r}")
 
