@@ -46,7 +46,9 @@ def of_plate(p: Values, mesh: Trimesh) -> Values:
         tensor += mass * (at @ at * np.eye(3) - np.outer(at, at))
     moments = np.linalg.eigvalsh(tensor)
     sides = 2 * (length * width + length * thickness + width * thickness)
-    return {
+    bridge = min(length / 2 - abs(x), width / 2 - abs(y)) - radius  # between the hole and the nearest edge
+    least = {"wall.least": thickness} if bridge > thickness else {}  # a narrow one is a matter of how much of it counts
+    return least | {
         "extents.length": length,
         "extents.width": width,
         "extents.height": thickness,
@@ -59,7 +61,6 @@ def of_plate(p: Values, mesh: Trimesh) -> Values:
         "hole.y": y,
         "hole.z": 0.0,
         "holes.count": 1.0,
-        "wall.least": thickness,
         "wall.median": thickness,
         "centroid.x": float(centre[0]),
         "centroid.y": float(centre[1]),
