@@ -265,7 +265,7 @@ def main(given: Sequence[str] | None = None) -> int:
 
 
 def pivot(console: Console, table: dict[str, Any]) -> None:
-    """A line for each value, a column for each surface and factor: R², * where it falls short, the error of constants."""
+    """A line for each value, a column for each surface and factor: R² (* falls short), or what a constant is off."""
     heads = [(made, factor) for made in MADE for factor in FACTORS]
     cells: dict[str, dict[tuple[str, float], str]] = defaultdict(dict)
     for row in table["rows"]:

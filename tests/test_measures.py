@@ -191,3 +191,52 @@ def test_faces_wound_at_odds_have_no_volume():
     faces[0] = faces[0, ::-1]
     with pytest.raises(MeasureError, match="wound alike"):
         Volume()(trimesh.Trimesh(mesh.vertices, faces, process=False))
+
+
+@pytest.mark.parametrize("measure", MEASURES, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("wrong", [8, -1])
+def test_a_face_between_vertices_that_are_not_there(measure, wrong):
+    mesh = trimesh.Trimesh(box().vertices, np.vstack([box().faces, [[0, 1, wrong]]]), process=False)
+    for asked in (measure, getattr(measure, "gradient", measure)):
+        with pytest.raises(MeasureError, match=f"expected faces between the 8 vertices, got one with vertex {wrong}"):
+            asked(mesh)
+
+
+@pytest.mark.parametrize("measure", MEASURES, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("scale", [1e200, 1e-200])
+def test_sizes_beyond_reckoning(measure, scale):
+    mesh = trimesh.Trimesh(box().vertices * scale, box().faces, process=False)
+    with pytest.raises(MeasureError, match="expected a largest coordinate from 1e-50 to 1e\\+50"):
+        measure(mesh)
+
+
+def test_a_flat_box_has_a_volume():
+    flat = trimesh.Trimesh(box().vertices * [1, 1, 1e-200], box().faces, process=False)
+    np.testing.assert_allclose(Volume()(flat), 6e-200)
+    with pytest.raises(MeasureError, match="plate: expected a side"):
+        Plate().gradient(flat)
+
+
+@pytest.mark.parametrize("copy", ["faces", "vertices too"])
+def test_a_plate_listed_twice_is_refused(copy):
+    """Its section would enclose twice the hole, a radius √2 too large."""
+    plate = trimesh.creation.annulus(0.3, 1.0, 0.2, sections=64)
+    start = len(plate.vertices) if copy == "vertices too" else 0
+    vertices = np.vstack([plate.vertices, plate.vertices]) if start else plate.vertices
+    twice = trimesh.Trimesh(vertices, np.vstack([plate.faces, plate.faces + start]), process=False)
+    with pytest.raises(MeasureError, match="expected each face once, got some twice"):
+        Plate()(twice)
+
+
+def test_a_torus_listed_twice_is_refused():
+    ring = torus()
+    for asked in (Plate(), Plate().gradient):
+        with pytest.raises(MeasureError, match="expected each face once, got some twice"):
+            asked(trimesh.Trimesh(ring.vertices, np.vstack([ring.faces, ring.faces]), process=False))
+
+
+def test_a_plate_beside_a_vertex_far_away():
+    plate = trimesh.creation.annulus(0.3, 1.0, 0.2, sections=64)
+    parted = loose(plate)
+    stray = trimesh.Trimesh(np.vstack([parted.vertices, [[1e12] * 3]]), parted.faces, process=False)
+    np.testing.assert_allclose(Plate()(stray), Plate()(parted), rtol=1e-9, atol=1e-12)

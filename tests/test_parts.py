@@ -17,7 +17,8 @@ from lampopt.testing import ConformanceError, measure_checks
 from lampopt.testing.measures import check_place_does_not_matter
 from lampopt_families.plate import HIGH, LOW, plate_mesh
 from lampopt_measure.basic import Area, Extents, Volume
-from lampopt_measure.holes import Hole, Holes
+from lampopt_measure.facets import section
+from lampopt_measure.holes import Hole, Holes, area_and_centre
 from lampopt_measure.mass import Centroid, Inertia
 from lampopt_measure.plate import Plate
 from lampopt_measure.wall import Wall
@@ -391,3 +392,25 @@ def test_a_real_part_without_a_hole():
         pytest.skip(f"{path} is not there")
     with pytest.raises(MeasureError, match="got none"):
         Holes()(trimesh.load(path, force="mesh"))
+
+
+def test_a_loop_around_material_is_no_hole():
+    """Where a surface crosses itself, a hole's loop may run the other way round."""
+    cut = section(trimesh.creation.cylinder(1.0, 2.0), "z", 0.1)
+    with pytest.raises(MeasureError, match="a loop around the opening of a hole, got one around material"):
+        area_and_centre(cut, 2)
+
+
+def test_flat_and_tiny_parts():
+    flat = trimesh.creation.box((1, 2, 3))
+    flat.vertices = flat.vertices * [1, 1, 1e-150]
+    np.testing.assert_allclose(Centroid()(flat), 0, atol=1e-12)
+    tiny = trimesh.Trimesh(trimesh.creation.box((1, 2, 3)).vertices * 1e-49, flat.faces, process=False)
+    np.testing.assert_allclose(Inertia()(tiny), np.array([2.5, 5, 6.5]) * 1e-245)
+
+
+@pytest.mark.parametrize("measure", [Hole(), Holes(), Wall(), Centroid(), Inertia()], ids=lambda m: type(m).__name__)
+def test_vertices_of_no_face_change_nothing(measure):
+    plate = plate_mesh(PLATE)
+    stray = trimesh.Trimesh(np.vstack([plate.vertices, [[1e12] * 3]]), plate.faces, process=False)
+    np.testing.assert_allclose(measure(stray), measure(plate), rtol=1e-9, atol=1e-12)

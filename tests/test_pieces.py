@@ -346,3 +346,111 @@ def test_a_consensus_among_many_facets_takes_little_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1.5e9
+
+
+def quantity(value, row=0):
+    return Quantity(value, np.array([row]), np.ones((1, 3)))
+
+
+def test_quantities_are_compared_by_value():
+    one, two = quantity(1.0), quantity(2.0, 1)
+    assert one < two
+    assert two >= one
+    assert one <= 1.0 < two
+    assert not one > two
+    assert min(two, one) is one
+    assert max(one, two, key=float) is two
+
+
+def test_numpy_numbers_go_along_and_its_functions_are_refused():
+    found = np.float64(3) * quantity(2.0) - np.float64(1) / quantity(2.0) + np.int64(1)
+    assert float(found) == 6.5
+    np.testing.assert_allclose(found.gradient(1), 3.25)
+    with pytest.raises(
+        TypeError, match=r"np\.sqrt: keeps no derivative of a quantity; of lampopt_measure\.pieces take sqrt"
+    ):
+        np.sqrt(quantity(2.0))
+    with pytest.raises(TypeError, match=r"np\.minimum: .*minimum, maximum"):
+        np.minimum(quantity(2.0), quantity(1.0))
+
+
+@pytest.mark.parametrize("layer", [-1.0, np.nan, np.inf, "deep"])
+def test_a_layer_is_a_length(layer):
+    with pytest.raises(InputError, match="layer: expected a length of at least 0"):
+        highest(surface(shapes.box((2, 1, 1))), layer=layer)
+
+
+def test_places_and_distances_are_finite_numbers():
+    box = shapes.box((2, 1, 1))
+    for at in (np.nan, np.inf, "0"):
+        with pytest.raises(InputError, match="section: at: expected a finite number"):
+            section(box, "z", at)
+    for within in (np.nan, 0.0, "a"):
+        with pytest.raises(InputError, match="within: expected a distance above 0"):
+            line(section(box, "z", 0.0), within=within)
+    for within in (np.nan, 0.0, 181.0):
+        with pytest.raises(InputError, match="facing: within: expected an angle"):
+            surface(box).facing("z", within)
+
+
+def test_a_run_that_is_nearly_straight_is_no_arc():
+    plate = trimesh.creation.cylinder(100.0, 2.0, sections=720)  # of which 6° are looked at
+    bow = section(plate, "z", 0.1).facing("x", 3)
+    with pytest.raises(MeasureError, match=r"circle: expected a radius of at most .* got 100\.0.* say how large"):
+        circle(bow)
+    assert float(circle(bow, largest=200.0).radius) == pytest.approx(100, rel=1e-3)
+    with pytest.raises(MeasureError, match="expected a radius of at most 50, got"):
+        circle(section(plate, "z", 0.1), largest=50.0)
+    with pytest.raises(InputError, match="largest: expected a radius above 0"):
+        circle(bow, largest=-1.0)
+
+
+@measure(height="L", length="L")
+def roof(mesh):
+    whole = surface(mesh)
+    top = section(mesh, "y", at=middle(whole, "y") + 0.01 * extent(whole, "y")).facing("z", within=30)
+    return {"height": highest(top) - lowest(whole), "length": extent(top, "x")}
+
+
+@measure(None, None, {"top": "z"}, top="L", size="L")
+def top_of_it(mesh):
+    return {"top": highest(surface(mesh)), "size": extent(surface(mesh), "z")}
+
+
+@pytest.mark.parametrize("made", [roof, top_of_it])
+def test_places_are_declared(made):
+    assert made.positions == (("z", "") if made is top_of_it else ("", ""))
+    check_measure(made())
+
+
+def test_what_a_function_has_to_return():
+    @measure(a="L")
+    def nothing(mesh):
+        return None
+
+    @measure(a="L")
+    def words(mesh):
+        return {"a": "long"}
+
+    @measure(a="L")
+    def lost(mesh):
+        return {"a": highest(section(mesh, "z", 9.0))}
+
+    box = shapes.box((2, 1, 1))
+    with pytest.raises(InputError, match="nothing: expected a mapping of names to numbers to be returned, got None"):
+        nothing()(box)
+    with pytest.raises(InputError, match="words: 'a': expected a quantity or a number, got 'long'"):
+        words()(box)
+    with pytest.raises(MeasureError, match="lost: expected something to look for its end along z"):
+        lost()(box)
+    with pytest.raises(InputError, match="a: expected a unit as text"):
+        measure(a=1)
+    with pytest.raises(InputError, match="positions: expected a value's name and x, y or z, got 'b'"):
+        measure(None, None, {"b": "x"}, a="L")
+
+
+def test_what_agrees_on_nothing_is_said():
+    ball = lump()
+    ball.vertices += np.random.default_rng(0).normal(size=ball.vertices.shape) * 0.05
+    with pytest.raises(MeasureError, match=r"expected a line within 1e-06 .* too rough, too coarse, or bent"):
+        line(section(ball, "z", 0.01), within=1e-6)

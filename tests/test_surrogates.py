@@ -128,7 +128,7 @@ def test_waves_over_a_box_are_those_of_the_closed_form():
 @settings(max_examples=6, deadline=None)
 @given(shift=st.tuples(*[st.floats(-50, 50)] * 3), divisions=st.integers(0, 3))
 @pytest.mark.parametrize(
-    ("pooled", "share"), [(PointNet.drawn(32, 0), 1e-3), (Waves.drawn(32, 0), 1e-6)], ids=["PointNet", "Waves"]
+    ("pooled", "share"), [(PointNet.drawn(32, 0), 3e-3), (Waves.drawn(32, 0), 1e-6)], ids=["PointNet", "Waves"]
 )
 def test_features_hardly_see_place_or_tessellation(pooled, share, shift, divisions):
     """Against what a tenth more length does to them."""

@@ -207,3 +207,107 @@ def test_wheels_of_real_bodies(name, forward, expected, monkeypatch):
     found = values("wheels", judge.body(name), forward=forward)
     for value, about in expected.items():
         assert found[value] == pytest.approx(about, rel=0.05), value
+
+
+def test_vertices_of_no_face_change_nothing():
+    mesh = simple_car()
+    stray = trimesh.Trimesh(np.vstack([mesh.vertices, [[1e12, -1e12, 1e12]]]), mesh.faces, process=False)
+    for name in ("vehicle", "wheels", "windscreen", "frontal-area", "wetted-area"):
+        assert values(name, stray) == pytest.approx(values(name, mesh), rel=1e-9), name
+    gradient = made("frontal-area").gradient(stray)
+    np.testing.assert_allclose(gradient[:, :-1], made("frontal-area").gradient(mesh), atol=1e-9)
+    assert not gradient[:, -1].any()
+
+
+def test_what_lies_on_its_underbody_is_no_vehicle():
+    with pytest.raises(MeasureError, match="vehicle: expected an underbody above the ground, got one that lies on it"):
+        made("vehicle")(trimesh.creation.box((4, 1.8, 1.4)).subdivide().subdivide())
+    with pytest.raises(MeasureError, match="expected a body, got one of 3 by 1 by 0"):
+        made("ramp")(trimesh.Trimesh([[0, 0, 0], [3, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+    with pytest.raises(MeasureError, match=r"ramp: expected"):
+        made("ramp")(trimesh.Trimesh([[0, 0, 0], [3, 0, 0], [0, 1, 1]], [[0, 1, 2]]))
+
+
+def test_a_body_whose_width_varies_has_none():
+    mesh = simple_car()
+    vertices = np.array(mesh.vertices)
+    vertices[:, 1] *= 0.3 + 0.3 * vertices[:, 0]
+    with pytest.raises(MeasureError, match=r"vehicle: width: expected a body of one width .* got 1\.\d+ to 1\.\d+"):
+        made("vehicle")(trimesh.Trimesh(vertices, mesh.faces, process=False))
+
+
+@pytest.mark.parametrize("name", ["vehicle", "wheels", "windscreen", "diffuser"])
+def test_upside_down_is_told(name):
+    mesh = simple_car()
+    turned = trimesh.Trimesh(mesh.vertices * [1, -1, -1], mesh.faces, process=False)
+    with pytest.raises(MeasureError, match=f"{name}: expected wheels below the body, got .* upside down"):
+        made(name)(turned)
+    assert values(name, turned, up="-z") == pytest.approx(values(name, mesh), rel=1e-9)
+
+
+def test_standing_on_its_tail_is_told():
+    turned = trimesh.Trimesh(np.asarray(simple_car().vertices)[:, [1, 2, 0]], simple_car().faces, process=False)
+    with pytest.raises(MeasureError, match=r"vehicle: expected a body that is longer than high, got .* by up="):
+        made("vehicle")(turned)
+
+
+@pytest.mark.parametrize("capped", [True, False])
+@pytest.mark.parametrize("name", ["vehicle", "wheels", "windscreen", "frontal-area"])
+def test_half_a_car_is_told(name, capped):
+    half = trimesh.intersections.slice_mesh_plane(simple_car(), (0, 1, 0), (0, 0.001, 0), cap=capped, engine="manifold")
+    with pytest.raises(MeasureError, match="expected a whole body, got one whose left side is cut off"):
+        made(name)(half)
+    other = trimesh.Trimesh(half.vertices * [1, -1, 1], half.faces[:, ::-1], process=False)
+    with pytest.raises(MeasureError, match="whose right side is cut off"):
+        made(name)(other)
+
+
+def test_faces_that_look_inward_are_told():
+    mesh = simple_car()
+    mesh.invert()
+    for name in ("vehicle", "wheels"):
+        with pytest.raises(MeasureError, match=rf"{name}: expected an underbody .* faces point outward"):
+            made(name)(mesh)
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_a_section_of_gaps_has_no_panels(name):
+    mesh = simple_car()
+    with pytest.raises(MeasureError, match=f"{name.replace('-', '_')}: expected a section along the middle that hangs"):
+        made(name)(trimesh.Trimesh(mesh.vertices, mesh.faces[::2], process=False))
+    kept = np.flatnonzero(~((mesh.triangles_center[:, 2] < 0.16) & (np.abs(mesh.triangles_center[:, 1]) < 0.6)))
+    opened = trimesh.Trimesh(mesh.vertices, mesh.faces[kept], process=False)  # without a floor
+    if name not in ("ramp", "diffuser"):
+        assert values(name, opened) == pytest.approx(values(name, mesh), rel=1e-6)
+
+
+def test_a_roof_is_no_higher_than_the_body():
+    mesh = simple_car()
+    uneven = np.random.default_rng(1).uniform(0, 1e-5, len(mesh.vertices))  # less than the layer of an end
+    rough = trimesh.Trimesh(mesh.vertices + uneven[:, None] * [0, 0, 1], mesh.faces, process=False)
+    found = values("vehicle", rough)
+    assert found["height"] - 2e-5 < found["roof_height"] <= found["height"]
+
+
+def test_frontal_area_of_a_frayed_mesh_has_a_derivative():
+    mesh = simple_car()
+    frayed = trimesh.Trimesh(mesh.vertices, mesh.faces[np.arange(len(mesh.faces)) % 3 > 0], process=False)
+    measure = made("frontal-area")
+    gradient = measure.gradient(frayed)[0]
+    growth = float((gradient[:, 1:] * np.asarray(frayed.vertices)[:, 1:]).sum())
+    assert growth == pytest.approx(2 * measure(frayed)[0], rel=1e-3)  # Euler: an area is homogeneous of degree 2
+
+
+def test_frontal_area_of_a_crumpled_mesh_is_refused():
+    ball = trimesh.creation.icosphere(6).apply_scale((2, 1, 1))
+    ball.vertices += np.random.default_rng(0).normal(size=ball.vertices.shape) * 0.2
+    for asked in (made("frontal-area"), made("frontal-area").gradient):
+        with pytest.raises(MeasureError, match="the surface is crumpled or frayed; wrap or repair"):
+            asked(ball)
+
+
+def test_wetted_area_has_no_derivative_by_what_is_not_finite():
+    box = trimesh.creation.box()
+    spoilt = trimesh.Trimesh(np.where(np.arange(8)[:, None] == 3, np.nan, box.vertices), box.faces, process=False)
+    with pytest.raises(MeasureError, match="expected finite vertices, got 1"):
+        made("wetted-area").gradient(spoilt)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.errors import InputError, MeasureError
+from lampopt.types import Array
 
-from .facets import Shape, direction, section
+from .facets import Facets, Shape, direction, section
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -64,16 +65,25 @@ def oriented(mesh: Trimesh, forward: str = "", up: str = "z") -> Shape:
 
 
 def check_whole(shape: Shape) -> None:
-    """Raise MeasureError where one side is a plane from nose to tail and up to the roof, and the other side is not."""
+    """Raise MeasureError where one side is a plane from nose to tail and up to the roof, and the other side is not.
+
+    Only of what is longest from nose to tail, as vehicles are: a wing seen from above ends at its root as it likes.
+    """
     used = shape.vertices[np.unique(shape.faces)]
     low, size = used.min(axis=0), np.ptp(used, axis=0)
-    shares = []
-    for at in (BESIDE, 1 - BESIDE):
-        cut = section(shape, "y", float(low[1] + at * size[1])).corners.reshape(-1, 3)
-        shares.append(np.ptp(cut, axis=0)[[0, 2]] / size[[0, 2]] if len(cut) and (size > 0).all() else np.zeros(2))
-    for side, one, other in (("left", *shares), ("right", *reversed(shares))):
-        if (one >= (ALONG, UPRIGHT)).all() and (other[0] < ALONG or other[1] < UNLIKE * one[1]):
+    if not (size > 0).all() or size[0] < size.max():
+        return
+    left, right = (_share(section(shape, "y", float(low[1] + at * size[1])), size) for at in (BESIDE, 1 - BESIDE))
+    for side, one, other in (("left", left, right), ("right", right, left)):
+        if one[0] >= ALONG and one[1] >= UPRIGHT and (other[0] < ALONG or other[1] < UNLIKE * one[1]):
             raise MeasureError(
                 f"expected a whole body, got one whose {side} side is cut off along a plane, as half a vehicle's; "
                 "mirror it first, or say which way it points by forward="
             )
+
+
+def _share(cut: Facets, size: Array) -> tuple[float, float]:
+    """How much of a body's length and height a section spans."""
+    if not len(cut):
+        return 0.0, 0.0
+    return float(np.ptp(cut.corners[..., 0]) / size[0]), float(np.ptp(cut.corners[..., 2]) / size[2])

@@ -53,6 +53,7 @@ def merged(mesh: Trimesh) -> Trimesh:
     Raises MeasureError where its size is beyond what can be joined.
     """
     copy = mesh.copy()
+    copy.remove_unreferenced_vertices()  # one far away would make the others coincide
     try:
         join(copy)
     except InputError as error:

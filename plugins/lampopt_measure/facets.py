@@ -213,7 +213,7 @@ def highest(facets: Facets, towards: Direction = "z", layer: float = 0.0) -> Qua
     With `layer` [L] it is the mean of the corners no more than that behind the farthest: as exact on a flat end, and
     moved less by noise and by a mesh's last vertex. Raises MeasureError, InputError.
     """
-    if not (isinstance(layer, Real) and 0 <= layer < math.inf):
+    if not (isinstance(layer, float | int | np.number) and 0 <= layer < math.inf):
         raise InputError(f"layer: expected a length of at least 0, got {layer!r:.100}")
     axis = direction(towards)
     reach = facets.required(f"something to look for its end along {towards}").corners @ axis

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from numbers import Real
 
 import numpy as np
 
@@ -307,7 +306,7 @@ def _agreeing(
     what: str,
 ) -> Facets:
     """The facets near the feature that most of their size is near: by consensus, then by fitting and choosing anew."""
-    if not (isinstance(within, Real) and within > 0):
+    if not (isinstance(within, float | int | np.number) and within > 0):
         raise InputError(f"within: expected a distance above 0, got {within!r:.100}")
     facets.required(f"something to fit {what} to")
     grid = TIE * max(float(np.ptp(facets.corners[..., k])) for k in range(3)) + np.finfo(float).tiny
@@ -335,8 +334,8 @@ def _agreeing(
             break
         if not kept.any():
             raise MeasureError(
-                f"expected {what} within {within:.6g} of what it is fitted to, got parts that agree on none: too rough, "
-                "too coarse, or bent"
+                f"expected {what} within {within:.6g} of what it is fitted to, got parts that agree on none: too "
+                "rough, too coarse, or bent"
             )
     return facets.where(kept)
 

@@ -34,7 +34,8 @@ class Centroid:
 
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivatives by the vertices (3, V, 3). Raises as a call does."""
-        corners = corners_of(mesh) - self(mesh)
+        centroid = self(mesh)
+        corners = corners_of(mesh) - centroid
         halfway = _halfway(corners)
         by_corners = np.stack([_moved(corners, corners[..., k], halfway[..., k]) for k in range(3)])
         return by_vertices(by_corners / enclosed_volume(solid(mesh, "centroid")), mesh)

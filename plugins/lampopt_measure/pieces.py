@@ -2,15 +2,17 @@
 
 A function from mesh to named values becomes a measure by a decorator::
 
-    @measure(height="L", slope="deg")
+    @measure(height="L", length="L")
     def roof(mesh):
-        top = section(mesh, "y", at=middle(surface(mesh), "y")).facing("z", within=30)
-        return {"height": highest(top) - lowest(surface(mesh)), "slope": slope(line(top, within=0.01 * extent(top, "x")))}
+        whole = surface(mesh)
+        top = section(mesh, "y", at=middle(whole, "y") + 0.01 * extent(whole, "y")).facing("z", within=30)
+        return {"height": highest(top) - lowest(whole), "length": extent(top, "x")}
 
     roof()(mesh), roof().gradient(mesh)
 
 `roof` is then a class whose fields are the function's keyword options, as a plugin registers it. Its values should not
-depend on where the mesh lies: a cut through its middle moves along with it.
+depend on where the mesh lies, so that the plane of the cut moves along with it; and it is cut beside the middle, since
+meshes like to have edges there, and a vertex that lies on the plane has a derivative to one side only.
 """
 
 from __future__ import annotations
@@ -101,9 +103,9 @@ class Composed:
         return np.array(parts)
 
     def _values(self, mesh: Trimesh) -> list[Number]:
-        with_faces(mesh)
         own = type(self).__name__
         try:
+            with_faces(mesh)
             found = type(self).function(mesh, **self._options())
         except InputError:
             raise
@@ -112,9 +114,9 @@ class Composed:
         except (ArithmeticError, ValueError) as error:  # a root of what is negative, a mean of nothing: of this shape
             raise MeasureError(f"{own}: cannot be worked out on this mesh: {error}") from error
         if not isinstance(found, Mapping):
-            raise InputError(f"{own}: expected a function that returns a mapping of names to numbers, got {found!r:.100}")
+            raise InputError(f"{own}: expected a mapping of names to numbers to be returned, got {found!r:.100}")
         if set(found) != set(self.names):
-            raise InputError(
+            raise MeasureError(
                 f"{own}: expected values {', '.join(self.names)}, got {', '.join(map(str, found)) or 'none'}"
             )
         for name, value in found.items():
@@ -160,7 +162,7 @@ def measure(
     places = dict(positions or {})
     for name, axis in places.items():
         if name not in units or axis not in ("x", "y", "z"):
-            raise InputError(f"measure: positions: expected names of values with x, y or z, got {name!r}: {axis!r:.100}")
+            raise InputError(f"measure: positions: expected a value's name and x, y or z, got {name!r}: {axis!r:.100}")
 
     def decorated(function: Callable[..., Values]) -> Callable[..., Composed]:
         _, *options = inspect.signature(function).parameters.values()

@@ -109,7 +109,7 @@ def _facing(vertices: Array, faces: Array) -> Iterator[tuple[int, int, Array, Ar
     size = np.linalg.norm(normals, axis=1)
     for axis, name in enumerate("xyz"):
         for sign in (-1, 1):
-            facing = sign * normals[:, axis] > FACING * size
+            facing = (sign * normals[:, axis] > FACING * size) & (size > 0)
             if not facing.any():
                 raise MeasureError(
                     f"plate: expected a side towards {'+' if sign > 0 else '-'}{name}, got no face there"

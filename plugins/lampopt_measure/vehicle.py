@@ -24,7 +24,7 @@ LAYER = 2e-5  # of the length: how deep an end is looked at
 SIDE = 3e-4  # of the width: how deep a flank is
 STATIONS = tuple(np.linspace(0.4031, 0.6173, 12))  # of the length, clear of the wheels
 ALIKE = 0.01  # stations whose width is farther than this from the median one show a mirror or a handle
-MOST = 0.5  # of the stations have to be as wide
+MOST = 0.25  # of the stations have to be as wide
 UNDER = 0.5  # of the height: where an underbody is sought
 LOWEST = 0.01  # of the height: an underbody no higher than that lies on the ground
 WHEELS = 0.03  # of the height: what stands out farther than that above the middle of a body, fore and aft, is no roof
@@ -54,6 +54,11 @@ class Vehicle:
         size = [float(np.ptp(whole.corners[..., axis])) for axis in range(3)]
         if min(size) <= FLAT * max(size):
             raise MeasureError("expected a body, got one of {:.6g} by {:.6g} by {:.6g}".format(*size))
+        if size[2] > size[0]:
+            raise MeasureError(
+                f"expected a body that is longer than high, got {size[0]:.6g} along and {size[2]:.6g} up; say "
+                "where its roof points by up="
+            )
         check_whole(shape)
         layer = LAYER * size[0]
         ends = (lowest(whole, "x", layer), highest(whole, "x", layer), lowest(whole, "z", layer))
@@ -119,12 +124,13 @@ def clearance(body: Vehicle, centre: Facets) -> Quantity:
     """
     span = (body.station(STATIONS[0]), body.station(STATIONS[-1]))
     low = (body.ground, body.ground + UNDER * body.height)
-    floor = centre.facing("-z").between(x=span, z=low).required("an underbody that looks down between the axles", ADVICE)
+    floor = centre.facing("-z").between(x=span, z=low)
+    floor = floor.required("an underbody that looks down between the axles", ADVICE)
     free = line(floor, within=ROUGH * float(body.length)).point[2] - body.ground
     if not float(free) > LOWEST * float(body.height):
         raise MeasureError(
-            "expected an underbody above the ground, got one that lies on it: wheels or stilts are missing, or up= does "
-            "not say where the roof points; the measure extents has length, width and height of any body"
+            "expected an underbody above the ground, got one that lies on it: wheels or stilts are missing, or up= "
+            "does not say where the roof points; the measure extents has length, width and height of any body"
         )
     return free
 
@@ -135,11 +141,11 @@ def _width(body: Vehicle) -> Quantity:
     widths = [extent(cut, "y", layer) for cut in cuts if len(cut)]
     found = np.array([float(width) for width in widths])
     if len(found) < len(cuts):
-        raise MeasureError(f"width: expected a body all along the middle, got {len(found)} of {len(cuts)} cross-sections")
+        raise MeasureError(f"width: expected a body all along, got {len(found)} of {len(cuts)} cross-sections")
     alike = np.abs(found - np.median(found)) <= ALIKE * np.median(found)
     if alike.mean() < MOST:
         raise MeasureError(
-            f"width: expected a body as wide at most stations from {STATIONS[0]:.0%} to {STATIONS[-1]:.0%} of its "
+            f"width: expected a body of one width at some stations from {STATIONS[0]:.0%} to {STATIONS[-1]:.0%} of its "
             f"length, got {found.min():.6g} to {found.max():.6g}; {ADVICE}"
         )
     return mean([width for width, kept in zip(widths, alike, strict=True) if kept])

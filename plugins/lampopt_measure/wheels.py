@@ -16,7 +16,7 @@ from .facets import Facets, extent, middle, section
 from .fits import Circle, circle, line
 from .pieces import measure
 from .quantity import Number, Quantity, maximum, mean, sqrt
-from .vehicle import Vehicle, clearance
+from .vehicle import ADVICE, Vehicle, clearance
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -89,7 +89,7 @@ def _wheel(body: Vehicle, free: Quantity, slices: list[tuple[float, Facets]], en
     prints = [(share * free, cut.between(x=x, y=y)) for share, cut in slices]
     length, width = float(body.length), float(np.ptp(body.whole.corners[..., 1]))
     if any(len(cut) == 0 for _, cut in prints):
-        raise MeasureError(f"wheels: expected a {name} below the body, got nothing there")
+        raise MeasureError(f"wheels: expected a {name} below the body, got nothing there; {ADVICE}")
     fore, aft = ([_tread(cut, towards, FLAT * length, name) for _, cut in prints] for towards in ("-x", "x"))
     chords = [back - front for front, back in zip(fore, aft, strict=True)]
     breadths = [float(extent(cut, "y")) for _, cut in prints]
@@ -114,7 +114,7 @@ def _wheel(body: Vehicle, free: Quantity, slices: list[tuple[float, Facets]], en
 
 def _tread(cut: Facets, towards: str, within: float, name: str) -> Quantity:
     """Where along the vehicle a tyre ends in a slice: the flat of its tread."""
-    return line(cut.facing(towards, 25).required(f"a {name} with a tread"), within).point[0]
+    return line(cut.facing(towards, 25).required(f"a {name} with a tread", ADVICE), within).point[0]
 
 
 def _by_chords(heights: list[Quantity], halves: list[Quantity]) -> tuple[Quantity, Quantity]:
