@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from lampopt.errors import InputError
 from lampopt.metrics import (
-    conformal_quantile,
     chamfer_distance,
+    conformal_quantile,
     iou,
     mean_absolute_error,
     minimum_matching_distance,
