@@ -226,8 +226,11 @@ def table(run: Path) -> dict[str, dict[str, Any]]:
     if not (run / "runs.sqlite").exists():
         return {}
     with tempfile.TemporaryDirectory() as aside:
-        for file in run.glob("runs.sqlite*"):
-            shutil.copy(file, aside)
+        try:
+            for file in run.glob("runs.sqlite*"):
+                shutil.copy(file, aside)
+        except FileNotFoundError:  # a journal that went meanwhile: what was copied does not belong together
+            return table(run)
         with closing(sqlite3.connect(Path(aside) / "runs.sqlite")) as database:
             assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",), "the database is damaged"
             if not database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:

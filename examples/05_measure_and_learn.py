@@ -29,7 +29,7 @@ own = shape()
 print("own", {name: round(value, 3) for name, value in lampopt.measure(own, car).items()})
 up = np.zeros_like(car.vertices)
 up[car.vertices[:, 2] > 1300, 2] = 1.0  # every vertex of the roof 1 mm up
-print("roof up", (own.gradient(car) * up).sum((1, 2)).round(3))
+print("roof up", (own.gradient(car) * up).sum((1, 2)).round(3) + 0.0)
 
 # "A car 100 mm longer than the base": a label of some data set, told from the wheelbase. The error is of cars left out.
 length = lampopt.fit_surrogate(cars, lampopt.Spec("calibrated", by="wheels.wheelbase,vehicle.length"), ["length"])

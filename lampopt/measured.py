@@ -144,8 +144,8 @@ def following_ratio(parameters: Array, index: int, values: Array) -> float:
 
 def split_address(address: str) -> tuple[str, str]:
     """`measure.value` in its two parts; `file:value` where a learned measure is meant, by the file that holds it."""
-    measure, sign, value = address.rpartition(":") if ":" in address else address.partition(".")
-    if not (measure and sign and value):
+    measure, _, value = address.rpartition(":") if ":" in address else address.partition(".")
+    if not measure:
         raise InputError(f"measured value {address!r}: expected 'measure.value', or 'file:value' of a learned one")
     return measure, value
 
@@ -159,9 +159,9 @@ def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:
         If there is no such file, or the measure has no such value: its values are listed.
     """
     name, value = split_address(address)
-    learned = ":" in address
-    measure: Measure = load_measure(name, plugins=plugins) if learned else plugins.make("measure", name)
+    kind, sign = ("file", ":") if ":" in address else ("measure", ".")
+    measure: Measure = load_measure(name, plugins=plugins) if sign == ":" else plugins.make("measure", name)
     if value not in measure.names:
-        known = ", ".join(f"{name}{':' if learned else '.'}{v}" for v in measure.names)
-        raise InputError(f"measured value {address!r}: expected one of {known}")
+        known = ", ".join(f"{name}{sign}{v}" for v in measure.names)
+        raise InputError(f"measured value {address!r}: expected '{kind}{sign}value', one of {known}")
     return name, measure, tuple(measure.names).index(value)

@@ -253,12 +253,13 @@ def _measure(name: str, choice: Spec | Measure, plugins: Plugins) -> Measure:
     return made
 
 
-def _told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> list[str]:
-    """What tells a measure from others: who offers it with which options, and what it has learned."""
+def _told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> str | list[str]:
+    """What tells a measure from others: who offers it, with which options, and what it has learned."""
     if not isinstance(choice, Spec):
         return _given(choice)
-    who = [str(plugins.get("measure", choice.name)), *([repr(choice)] if choice.options else [])]
-    return [*who, *([_learned(measure)] if isinstance(measure, State) else [])]
+    who = str(plugins.get("measure", choice.name))
+    more = [*([repr(choice)] if choice.options else []), *([_learned(measure)] if isinstance(measure, State) else [])]
+    return [who, *more] if more else who
 
 
 def _learned(measure: Measure) -> str:

@@ -1,5 +1,8 @@
 """Learned measures: clouds against closed forms, gradients against differences, coverage and range on shapes apart."""
 
+import dataclasses
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,7 +11,7 @@ from hypothesis import strategies as st
 
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.plugins import Plugins
-from lampopt.protocols import Gradient, Interval, Measure, State
+from lampopt.protocols import CrossValidated, Gradient, Interval, Measure, State
 from lampopt.testing import report, shapes, surrogate_checks
 from lampopt_families.bwb import HIGH as BWB_HIGH
 from lampopt_families.bwb import LOW as BWB_LOW
@@ -17,7 +20,7 @@ from lampopt_families.car import HIGH as CAR_HIGH
 from lampopt_families.car import LOW as CAR_LOW
 from lampopt_families.car import car_mesh
 from lampopt_pointnet.cloud import SIDE, Cut
-from lampopt_pointnet.conformal import Region, quantile
+from lampopt_pointnet.conformal import Region
 from lampopt_pointnet.learned import Learned
 from lampopt_pointnet.pooled import PointNet, Waves
 from lampopt_pointnet.regression import kernel_ridge, lasso
@@ -47,6 +50,10 @@ def learned(request, measures):
     return measures[request.param]
 
 
+def scaled(mesh, by):
+    return trimesh.Trimesh(np.asarray(mesh.vertices) * by, mesh.faces, process=False)
+
+
 def listed_otherwise(mesh, seed=0):
     """The same faces in another order, vertices numbered anew."""
     rng = np.random.default_rng(seed)
@@ -68,7 +75,7 @@ def test_they_come_in_by_the_front_door():
 
 @both
 def test_what_is_learned_is_a_measure_with_every_ability(learned):
-    for protocol in (Measure, Gradient, Interval, State):
+    for protocol in (Measure, Gradient, Interval, State, CrossValidated):
         assert isinstance(learned, protocol)
     assert type(learned).__module__.split(".")[0] == "lampopt_pointnet"
     excuse = {"check_scale_follows_the_unit": "it knows the sizes it has learned from, and no others"}
@@ -218,16 +225,6 @@ def test_gradient_leads_a_box_to_another_length(learned):
 # intervals and range
 
 
-def test_quantile_is_the_finite_sample_one():
-    scores = np.arange(1.0, 20.0)  # 19 errors: the 18th is the 90 % quantile, (19 + 1) · 0.9
-    assert quantile(scores, 0.9) == 18
-    assert quantile(np.r_[scores, np.nan], 0.95) == 19
-    assert quantile(scores, 0.96) == np.inf
-    for level in (0, 1, -0.1, 1.5, np.nan):
-        with pytest.raises(InputError, match="level"):
-            quantile(scores, level)
-
-
 @both
 def test_intervals_cover_what_they_say(learned):
     """150 new boxes: 90 %, give or take three standard deviations of calibrating on 60."""
@@ -237,6 +234,11 @@ def test_intervals_cover_what_they_say(learned):
     covered = (np.abs(found - values) <= half).mean()
     assert 0.8 <= covered <= 0.99
     np.testing.assert_allclose(np.diff(learned.interval(meshes[0], 0.9)).ravel(), 2 * half)
+    # of 45 labels the ⌈46 · 0.9⌉-th smallest error, of 60 the ⌈61 · 0.9⌉-th
+    for column, rank in ((1, 42), (0, 55)):
+        sizes = np.sort(np.abs(learned.errors[:, column]))
+        np.testing.assert_allclose(half[column], sizes[rank - 1] * learned.values[1, column])
+    assert np.isinf(learned.half_widths(0.99)).all()
 
 
 @both
@@ -248,13 +250,14 @@ def test_values_are_learned(learned):
     for k, name in enumerate(NAMES):
         said = learned.cross_validated[name]
         assert abs(said["r2"] - score[k]) < 0.03
-        assert 0.3 < said["mae"] / np.abs(found - values)[:, k].mean() < 3
+        assert 0.3 < said["mean_absolute_error"] / np.abs(found - values)[:, k].mean() < 3
 
 
 @both
 def test_outside_is_told(learned):
     inside, _ = boxes(40, 7)
-    assert np.mean([learned.outside(m) for m in inside]) <= 0.15
+    # 2 % in the mean over what is learned from, 12 % where these 45 widths are known
+    assert np.mean([learned.outside(m) for m in inside]) <= 0.2
     for other in (
         shapes.ellipsoid(),
         shapes.plate_with_hole(),
@@ -262,6 +265,45 @@ def test_outside_is_told(learned):
         shapes.box((50, 30, 30)),
     ):
         assert learned.outside(other)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda k: type(k).__name__)
+def test_a_few_shapes_have_an_outside(kind):
+    lengths = np.linspace(0.8, 1.6, 20)
+    meshes = [shapes.box((a, 0.5, 0.4)) for a in lengths]
+    learned = kind.fit(meshes, lengths[:, None], ("length",), ("m",), seed=0)
+    assert learned.outside(shapes.box((80, 0.5, 0.4)))
+    assert not any(learned.outside(shapes.box((a, 0.5, 0.4))) for a in (0.9, 1.21, 1.5))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda k: type(k).__name__)
+def test_outside_asks_where_each_value_was_known(kind):
+    """The width only of boxes shorter than 1: of a box of 1.55 it was learned elsewhere."""
+    rng = np.random.default_rng(3)
+    sides = np.column_stack([rng.uniform(0.8, 1.6, 60), rng.uniform(0.3, 0.6, 60), rng.uniform(0.3, 0.5, 60)])
+    meshes, values = [shapes.box(s) for s in sides], sides[:, :2].copy()
+    whole = kind.fit(meshes, values, ("length", "width"), ("m", "m"), seed=0)
+    values[sides[:, 0] > 1.0, 1] = np.nan
+    part = kind.fit(meshes, values, ("length", "width"), ("m", "m"), seed=0)
+    assert (len(whole.regions), len(part.regions)) == (1, 2)
+    middle = shapes.box((0.9, 0.45, 0.4))
+    assert (whole.outside(middle), part.outside(middle)) == (False, False)
+    long = shapes.box((1.55, 0.45, 0.4))
+    assert (whole.outside(long), part.outside(long)) == (False, True)
+
+
+@both
+def test_an_extrapolated_value_is_outside(learned):
+    mean = learned.features[0]
+    assert not learned.beyond(mean)
+    low, high = learned.reach
+    for k in range(3):
+        for end in (low, high):
+            off = np.where(np.arange(3) == k, end + 0.01 * (end - learned.at(mean)), learned.at(mean))
+            told = dataclasses.replace(
+                learned, values=np.stack([learned.values[0] + off - learned.at(mean), learned.values[1]])
+            )
+            assert told.beyond(mean)
 
 
 def test_region_counts_what_lies_off_its_directions():
@@ -330,15 +372,61 @@ def test_state_gives_the_same_bits(learned, tmp_path):
     assert (again.names, again.units) == (NAMES, UNITS)
 
 
-def test_a_damaged_state_is_refused(measures):
-    state = measures[0].state()
-    for wrong in (
-        {k: v for k, v in state.items() if k != "regression.weights"},
-        state | {"words": np.frombuffer(b"{}", np.uint8)},
-        state | {"words": np.frombuffer(b"\xff", np.uint8)},
+def damages(array):
+    """Of one array: of other shapes, other numbers, another type."""
+    yield array[: len(array) // 2] if array.ndim else array[None]
+    yield array[..., None]
+    yield np.zeros(array.shape, np.int64)
+    yield array.astype(np.float32)
+    yield np.full_like(array, np.nan)
+    yield np.full_like(array, np.inf)
+    if array.ndim == 2:
+        yield array.ravel()
+        yield array.T
+
+
+@both
+def test_a_damaged_state_is_refused(learned):
+    state = learned.state()
+    wrong = [{k: v for k, v in state.items() if k != name} for name in state]
+    for name, array in state.items():
+        if name != "words":
+            wrong += [state | {name: other} for other in damages(array)]
+    wrong += [state | {name: -state[name]} for name in ("scale", "values", "features", "reach", "region1.off")]
+    wrong += [state | {name: 0 * state[name]} for name in ("scale", "values", "region0.limit", "region0.directions")]
+    words = json.loads(state["words"].tobytes())
+    for other in (
+        {},
+        [],
+        words | {"names": ["length", "width\n", "volume"]},
+        words | {"names": ["length", "length", "volume"]},
+        words | {"units": ["L", 1, "L"]},
+        words | {"units": ["L"]},
+        words | {"pooled": "Region"},
+        words | {"regression": ["Linear"]},
     ):
-        with pytest.raises(InputError, match="state"):
-            Learned.from_state(wrong)
+        wrong.append(state | {"words": np.frombuffer(json.dumps(other).encode(), np.uint8)})
+    for text in (b"\xff", b"[" * 100_000):
+        wrong.append(state | {"words": np.frombuffer(text, np.uint8)})
+    for each in wrong:
+        with pytest.raises(InputError, match="expected"):
+            Learned.from_state(each)
+    assert Learned.from_state(state).names == NAMES
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda k: type(k).__name__)
+def test_values_of_any_unit_are_learned_alike(kind):
+    """Beside each other, however small one is to another."""
+    meshes, values = boxes(20, 12)
+    units = np.array([1e-90, 1.0, 1e90])
+    one, other = (kind.fit(meshes, values * by, NAMES, UNITS, seed=0) for by in (np.ones(3), units))
+    mesh = boxes(1, 13)[0][0]
+    np.testing.assert_allclose(other(mesh), one(mesh) * units, rtol=1e-9)
+    large = scaled(mesh, 1e9)
+    assert np.isfinite(one(large)).all()
+    assert one.outside(large)
+    with pytest.raises(MeasureError, match="far beyond"):
+        one(scaled(mesh, 1e200))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: type(k).__name__)
@@ -350,10 +438,18 @@ def test_bad_input_is_named(kind):
         (meshes, few, "length: expected values for at least 10 meshes, got 3"),
         (meshes, np.where(np.arange(3) == 2, 1.0, values), "volume: expected values that differ"),
         (meshes, np.where(np.arange(3) == 1, np.inf, values), "width: expected finite"),
-        ([*meshes[:11], trimesh.Trimesh()], values, "mesh 11"),
+        ([*meshes[:11], trimesh.Trimesh()], values, "mesh 11: expected a mesh with faces"),
+        ([trimesh.Trimesh(), *meshes[1:]], values, "mesh 0: expected a mesh with faces"),
+        ([meshes[0]] * 12, values, "the meshes do not differ"),
+        ([scaled(meshes[0], 1e-9), *meshes[1:]], values, "mesh 0: expected a size"),
+        ([scaled(m, 10.0**i) for i, m in enumerate(meshes)], values, "mesh [01]+: expected a size"),
+        ([scaled(m, 1e200) for m in meshes], values, "mesh 0: .* another unit"),
+        *[(meshes, values * size, "length: expected values of size") for size in (1e-300, 1e-170, 1e160)],
+        (meshes, np.full(values.shape, "x"), "real numbers"),
+        (meshes, values * 1j, "real numbers"),
     ]
     for given_meshes, given_values, message in cases:
-        with pytest.raises((InputError, EmptyMesh), match=message):
+        with pytest.raises((InputError, EmptyMesh, MeasureError), match=message):
             kind.fit(given_meshes, given_values, NAMES, UNITS, seed=0)
     with pytest.raises(InputError, match="distinct"):
         kind.fit(meshes, values, ("a", "a", "b"), UNITS, seed=0)

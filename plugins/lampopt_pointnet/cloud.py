@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 SIDE = 0.103  # no piece is longer [scale]; not a round part of 1, at which all faces of a box would be split at once
+FARTHEST = 1e12  # coordinate [scale]: the powers of it that are reckoned with stay numbers
 MOST = 60_000  # pieces, about, made by splitting: what is far larger than the training meshes is split more coarsely
 
 
@@ -78,12 +79,12 @@ class Cut:
         EmptyMesh
             If no face has an area.
         MeasureError
-            If a vertex of a face is not finite.
+            If a vertex of a face is not finite, or too far out to be reckoned with.
         """
-        vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-        corners = vertices[faces] / scale
-        if not np.isfinite(corners).all():
-            raise MeasureError("expected finite vertices, got some that are not; repair the mesh first")
+        corners = _corners(mesh)
+        if not np.abs(corners).max(initial=0.0) <= FARTHEST * scale:
+            raise MeasureError(f"expected coordinates within {FARTHEST * scale:.3g}, far beyond what was learned from")
+        corners, faces = corners / scale, np.asarray(mesh.faces, np.int64)
         double = np.linalg.norm(_cross(corners), axis=1)
         faces, corners, double = (array[double > 0] for array in (faces, corners, double))
         if not len(faces):
@@ -93,7 +94,7 @@ class Cut:
         number = np.ceil(edges / SIDE)
         # by a power of two, so that it is not another one for every move of a vertex
         coarser = 2 ** np.ceil(np.log2(max(1.0, np.sqrt((number[number > 1] ** 2).sum() / MOST))))
-        return cls(faces, corners, len(vertices), scale, *_split(np.ceil(number / coarser).astype(np.int64)))
+        return cls(faces, corners, len(mesh.vertices), scale, *_split(np.ceil(number / coarser).astype(np.int64)))
 
     def cloud(self) -> Cloud:
         """The cloud, pieces of one face having its normal."""
@@ -119,6 +120,28 @@ class Cut:
         a, b, c = (self.corners[:, i] for i in range(3))
         place += np.stack([np.cross(p, by_cross) for p in (b - c, c - a, a - b)], axis=1)
         return _summed(self.faces.ravel(), place.reshape(-1, 3), self.count) / self.scale
+
+
+def size(mesh: Trimesh) -> float:
+    """The longest side of the box about a mesh's faces [unit of the mesh].
+
+    Raises EmptyMesh where it has none, MeasureError where a vertex is not finite or its square would be no number.
+    """
+    corners = _corners(mesh)
+    if not np.abs(corners).max(initial=0.0) <= 1e100:
+        raise MeasureError("expected coordinates up to 1e100; take another unit")
+    longest = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) if len(corners) else 0.0
+    if longest < 1e-100:
+        raise EmptyMesh(f"expected a mesh with faces that have an area, got {len(corners)} of size {longest:.3g}")
+    return longest
+
+
+def _corners(mesh: Trimesh) -> Array:
+    """(F, 3, 3) of a mesh's faces [unit of the mesh]."""
+    corners: Array = np.asarray(mesh.vertices, float).reshape(-1, 3)[np.asarray(mesh.faces, np.int64).reshape(-1, 3)]
+    if not np.isfinite(corners).all():
+        raise MeasureError("expected finite vertices, got some that are not; repair the mesh first")
+    return corners
 
 
 def _cross(corners: Array) -> Array:

@@ -1,4 +1,4 @@
-"""How far to trust what was learned: intervals from residuals found by cross-validation, and where learning ended."""
+"""How far to trust what was learned: where learning ended."""
 
 from __future__ import annotations
 
@@ -6,26 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampopt.errors import InputError
+from lampopt.metrics import conformal_quantile
 from lampopt.types import Array
 
 ALARMS = 0.03  # share of shapes such as those learned from that may be taken for outside
 MOST = 50  # principal directions that distance is taken in
 FOLDS = 5
-
-
-def quantile(scores: Array, level: float) -> float:
-    """The half-width that covers a new value with probability `level` where `scores` (n,) are past errors.
-
-    The ⌈(n + 1) level⌉-th smallest (Vovk et al. 2005); infinite where so few errors promise nothing.
-
-    Raises InputError if `level` is not between 0 and 1.
-    """
-    if not 0 < level < 1:
-        raise InputError(f"level: expected a coverage between 0 and 1, got {level!r}")
-    known = np.sort(scores[np.isfinite(scores)])
-    rank = int(np.ceil((len(known) + 1) * level - 1e-9))
-    return float(known[rank - 1]) if rank <= len(known) else float("inf")
+TINY = 1e-12  # least singular value, where a fold leaves meshes that hardly differ
 
 
 def folds(count: int, number: int, seed: int) -> Array:
@@ -56,17 +43,21 @@ class Region:
     def of(cls, features: Array, seed: int) -> Region:
         """The region of standardised features (n, F), its limit from distances found by cross-validation."""
         fold = folds(len(features), FOLDS, seed)
+        # as many directions in every fold as in the end: distances of one kind
+        most = min(MOST, max(1, (len(features) - int(np.bincount(fold).max())) // 8))
         distances = np.zeros(len(features))
         for k in np.unique(fold):
-            distances[fold == k] = cls._about(features[fold != k]).distance(features[fold == k])
-        about = cls._about(features)
-        return cls(about.middle, about.directions, about.off, np.array(quantile(distances, 1 - ALARMS)))
+            distances[fold == k] = cls._about(features[fold != k], most).distance(features[fold == k])
+        about = cls._about(features, most)
+        limit = min(conformal_quantile(distances, 1 - ALARMS), float(distances.max()))  # infinite where n < 33
+        return cls(about.middle, about.directions, about.off, np.array(limit))
 
     @classmethod
-    def _about(cls, features: Array) -> Region:
+    def _about(cls, features: Array, most: int) -> Region:
         middle = features.mean(axis=0)
         _, size, ways = np.linalg.svd(features - middle, full_matrices=False)
-        kept = min(MOST, max(1, len(features) // 8), int((size > 1e-9 * size[0]).sum()))
+        size = np.maximum(size, TINY)
+        kept = min(most, int((size > 1e-9 * size[0]).sum()))
         rest = np.sqrt((size[kept:] ** 2).sum() / len(features))
         directions = ways[:kept].T / size[:kept] * np.sqrt(len(features))
         return cls(middle, directions, np.array(max(float(rest), 1e-9 * size[0])), np.array(np.inf))

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt.errors import InputError
+from lampopt.metrics import conformal_quantile
 from lampopt.types import Array
 
 from .cloud import Cut
-from .conformal import Region, quantile
+from .conformal import Region
 from .pooled import PointNet, Waves
 from .regression import Kernel, Linear
+from .state import OWN, kept, read, sound_words
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-KINDS: Mapping[str, Any] = {kind.__name__: kind for kind in (PointNet, Waves, Linear, Kernel, Region)}
-PARTS = ("pooled", "regression", "region")
+SMALLEST, LARGEST = 1e-100, 1e100  # sizes of values whose squares are numbers
+WIDER = 0.15  # of the values' range at each of its ends: what is told beyond is extrapolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +43,12 @@ class Learned:
         From standardised features to standardised values.
     values
         (2, p) mean and spread of each value [its unit].
+    reach
+        (2, p) least and greatest value that is not told by extrapolation [its unit].
     errors
         (n, p) found by cross-validation [spread], NaN where unlabelled.
-    region
-        What was learned from.
+    regions
+        What was learned from: one for each set of rows that are all the labels of some value.
     """
 
     names: tuple[str, ...]
@@ -55,8 +58,9 @@ class Learned:
     features: Array
     regression: Linear | Kernel
     values: Array
+    reach: Array
     errors: Array
-    region: Region
+    regions: tuple[Region, ...]
 
     def __call__(self, mesh: Trimesh) -> Array:
         """Values (p,). Raises EmptyMesh where no face has an area, MeasureError where a vertex is not finite."""
@@ -87,15 +91,21 @@ class Learned:
 
     def half_widths(self, level: float) -> Array:
         """(p,) half of each interval's width [unit of the value]."""
-        return np.asarray(self.values[1] * [quantile(np.abs(column), level) for column in self.errors.T])
+        return np.asarray(self.values[1] * [conformal_quantile(c[np.isfinite(c)], level) for c in self.errors.T])
 
     def outside(self, mesh: Trimesh) -> bool:
-        """Whether `mesh` is unlike those learned from: farther in its features than 97 % of them from the others."""
+        """Whether `mesh` is unlike those that any of the values was learned from, or a value is extrapolated.
+
+        Unlike: farther in its features than 97 % of them from the others; where they are fewer than 33, than all of
+        them. Extrapolated: told beyond the range learned from, by more than 15 % of its length and more than half the
+        90 % interval's width.
+        """
         return self.beyond(self.pooled(self._cut(mesh).cloud()))
 
     def beyond(self, features: Array) -> bool:
         """As `outside`, of a mesh whose pooled features (F,) are known."""
-        return self.region.outside(self._standardised(features))
+        seen, (low, high), values = self._standardised(features), self.reach, self.at(features)
+        return any(r.outside(seen) for r in self.regions) or bool(((values < low) | (values > high)).any())
 
     def gradient(self, mesh: Trimesh) -> Array:
         """Derivatives (p, V, 3) by vertices. Raises as the values do."""
@@ -109,25 +119,22 @@ class Learned:
 
     @property
     def cross_validated(self) -> dict[str, dict[str, float]]:
-        """By name: `r2`, the share of the variance explained, and `mae`, the mean absolute error [unit of the value].
+        """By name: `r2`, the share of the variance explained, and `mean_absolute_error` [unit of the value].
 
         Found by cross-validation on the meshes learned from.
         """
         found = {}
         for name, spread, column in zip(self.names, self.values[1], self.errors.T, strict=True):
             known = column[np.isfinite(column)]
-            found[name] = {"r2": 1 - float((known**2).mean()), "mae": float(spread * np.abs(known).mean())}
+            off = float(spread * np.abs(known).mean())
+            found[name] = {"r2": 1 - float((known**2).mean()), "mean_absolute_error": off}
         return found
 
     def state(self) -> dict[str, Array]:
         """The arrays that `from_state` makes it of again, its words as the bytes of a JSON text."""
-        words: dict[str, Any] = {"names": self.names, "units": self.units}
-        arrays: dict[str, Array] = {name: getattr(self, name) for name in ("scale", "features", "values", "errors")}
-        for part in PARTS:
-            held = getattr(self, part)
-            words[part] = type(held).__name__
-            arrays |= {f"{part}.{field.name}": getattr(held, field.name) for field in fields(held)}
-        return arrays | {"words": np.frombuffer(json.dumps(words).encode(), np.uint8)}
+        regions = {f"region{k}": region for k, region in enumerate(self.regions)}
+        parts = {"pooled": self.pooled, "regression": self.regression} | regions
+        return kept(self.names, self.units, {name: getattr(self, name) for name in OWN}, parts)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Array]) -> Learned:
@@ -136,21 +143,15 @@ class Learned:
         Raises
         ------
         InputError
-            If an array is missing or the words are none of `state`'s.
+            If an array is missing or none that `state` makes.
         """
-        try:
-            words = json.loads(np.asarray(state["words"], np.uint8).tobytes())
-            parts: dict[str, Any] = {}
-            for part in PARTS:
-                kind = KINDS[words[part]]
-                parts[part] = kind(**{field.name: state[f"{part}.{field.name}"] for field in fields(kind)})
-            arrays: dict[str, Any] = {name: state[name] for name in ("scale", "features", "values", "errors")}
-            names, units = (tuple(map(str, words[name])) for name in ("names", "units"))
-        except (KeyError, TypeError, ValueError) as error:
+        found = read(state)
+        regions, patterns = len(found["regions"]), len(list(labelled(found["errors"])))
+        if regions != patterns:
             raise InputError(
-                f"learned measure: expected the arrays of its state(), got {error!r}; learn it anew"
-            ) from error
-        return cls(names, units, **arrays, **parts)
+                f"learned measure: expected {patterns} regions by its errors, got {regions}; learn it anew"
+            )
+        return cls(**found)
 
     def _cut(self, mesh: Trimesh) -> Cut:
         return Cut.of(mesh, float(self.scale))
@@ -169,11 +170,25 @@ def labelled(values: Array) -> Iterator[tuple[Array, Array]]:
         yield np.flatnonzero(which.ravel() == k), np.flatnonzero(patterns[:, k])
 
 
-def standardised(rows: Array) -> tuple[Array, Array]:
-    """Rows (n, q) with mean 0 and variance 1, and (2, q) what mean and spread were; NaN is left out."""
+def standardised(rows: Array, least: float = 0.0) -> tuple[Array, Array]:
+    """Rows (n, q) with mean 0 and variance 1, and (2, q) what mean and spread were; NaN is left out.
+
+    A column with no more spread than `least` is 0, and so is its spread.
+    """
     mean, spread = np.nanmean(rows, axis=0), np.nanstd(rows, axis=0)
-    spread = np.where(spread > 1e-9 * np.abs(rows).max(initial=0.0, where=np.isfinite(rows)), spread, 0.0)
+    spread = np.where(spread > least, spread, 0.0)
     return np.divide(rows - mean, spread, out=np.zeros_like(rows), where=spread > 0), np.stack([mean, spread])
+
+
+def reach(values: Array, errors: Array) -> Array:
+    """(2, p) ends of the range of values (n, p), each farther out by a share WIDER of it.
+
+    Or by 90 % of the `errors` (n, p) found by cross-validation, where that is more.
+    """
+    low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+    off = [conformal_quantile(column[np.isfinite(column)], 0.9) for column in errors.T]
+    farther = np.maximum(WIDER * (high - low), off)
+    return np.stack([low - farther, high + farther])
 
 
 def checked(values: Array, count: int, names: Sequence[str], units: Sequence[str], least: int) -> Array:
@@ -182,21 +197,44 @@ def checked(values: Array, count: int, names: Sequence[str], units: Sequence[str
     Raises
     ------
     InputError
-        If shapes disagree, a value is infinite, or a column has fewer than `least` labels or always the same.
+        If shapes disagree, a word is not printable, a value is no number or of no size that can be reckoned with, or a
+        column has fewer than `least` labels or always the same.
     """
-    given = np.asarray(values, float)
-    if given.shape != (count, len(names)) or len(units) != len(names) or not names:
-        raise InputError(
-            f"expected values ({count}, p) with p names and units, got {given.shape}, {len(names)} and {len(units)}"
-        )
-    if len(set(names)) < len(names):
-        raise InputError(f"names: expected distinct ones, got {', '.join(names)}")
+    sound_words(tuple(names), tuple(units))
+    try:
+        given = np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"values: expected a table of numbers, got rows that differ in length: {error}") from error
+    if given.dtype.kind not in "iuf":
+        raise InputError(f"values: expected real numbers, NaN where there is none, got {given.dtype}")
+    if given.shape != (count, len(names)):
+        raise InputError(f"expected values ({count}, {len(names)}) of so many meshes and names, got {given.shape}")
+    given = given.astype(float)
     for name, column in zip(names, given.T, strict=True):
         known = column[~np.isnan(column)]
+        sizes = np.abs(known[known != 0])
         if not np.isfinite(known).all():
             raise InputError(f"{name}: expected finite values, or NaN where there is none, got an infinite one")
+        if ((sizes < SMALLEST) | (sizes > LARGEST)).any():
+            raise InputError(f"{name}: expected values of size {SMALLEST:g} to {LARGEST:g}, or 0; take another unit")
         if len(known) < least:
             raise InputError(f"{name}: expected values for at least {least} meshes, got {len(known)}")
-        if np.ptp(known) <= 1e-12 * np.abs(known).max():
+        if np.ptp(known) <= 1e-9 * np.abs(known).max():
             raise InputError(f"{name}: expected values that differ, got {known[0]:.6g} throughout; leave it out")
     return given
+
+
+def differing(features: Array, values: Array, names: Sequence[str], least: int) -> list[tuple[Array, Array]]:
+    """Columns and rows that are `labelled`, where standardised `features` (n, F) tell at least `least` meshes apart.
+
+    Raises InputError naming the values otherwise.
+    """
+    found = list(labelled(values))
+    for columns, rows in found:
+        count = len(np.unique(features[rows].round(6), axis=0))
+        if count < least:
+            raise InputError(
+                f"{', '.join(names[k] for k in columns)}: the meshes do not differ enough: expected at least {least} "
+                f"shapes, got {count}"
+            )
+    return found

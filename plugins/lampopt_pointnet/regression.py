@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .conformal import folds
 PENALTIES = np.geomspace(1, 1e-4, 40)  # of the one that leaves no feature in
 SWEEPS = 300  # of coordinate descent; what has not settled by then is judged as it stands
 WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the kernel, in median distances
+_ALONE = Lock()  # the filters of warnings are shared by all threads
 RIDGES = 10.0 ** np.arange(-8, 1)
 
 
@@ -105,7 +107,7 @@ def _path(features: Array, values: Array, penalties: Array) -> tuple[Array, Arra
 
     middle, mean = features.mean(axis=0), values.mean()
     centred = np.asfortranarray(features - middle)
-    with warnings.catch_warnings():
+    with _ALONE, warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # cross-validation judges what the sweeps have left
         _, path, _ = lasso_path(
             centred, values - mean, alphas=penalties, precompute=centred.T @ centred, max_iter=SWEEPS, tol=1e-3
@@ -123,7 +125,8 @@ def kernel_ridge(features: Array, values: Array) -> tuple[Array, Array, Array]:
     from sklearn.metrics.pairwise import euclidean_distances, rbf_kernel
 
     squared = euclidean_distances(features, squared=True)
-    typical = float(np.median(squared[np.triu_indices(len(values), 1)]))
+    apart = squared[np.triu_indices(len(values), 1)]
+    typical = float(np.median(apart[apart > 1e-9 * apart.max()]))  # the same mesh may be there more than once
     least, sharpness, ridge = np.full(values.shape[1], np.inf), *np.ones((2, values.shape[1]))
     errors = np.zeros(values.shape)
     for width in WIDTHS:

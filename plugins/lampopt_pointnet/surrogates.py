@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lampopt.errors import InputError, LampoptError
 from lampopt.types import Array
 
-from .cloud import Cloud, Cut
+from .cloud import Cloud, Cut, size
 from .conformal import Region
-from .learned import Learned, checked, labelled, standardised
+from .learned import Learned, checked, differing, reach, standardised
 from .pooled import PointNet, Waves
 from .regression import Kernel, Linear, kernel_ridge, lasso
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 LEAST = 10  # labels of a value: fewer say nothing by cross-validation
+NOISE = 1e-9  # of the largest feature: one that varies less does not differ
+APART = 1e3  # sizes of meshes that are learned from together, the largest to the smallest
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class PointNetLasso:
         EmptyMesh, MeasureError
             If a mesh has no surface or a vertex is not finite; the mesh is named by its number.
         InputError
-            If shapes disagree, or a value is infinite, hardly ever known or always the same.
+            If arrays' shapes disagree, a value is infinite, hardly ever known or always the same, the meshes do not
+            differ, or one is of another size by far.
         """
         given = checked(values, len(meshes), names, units, LEAST)
         scale, clouds = surfaces(meshes)
@@ -77,11 +80,12 @@ class PointNetLasso:
     ) -> Learned:
         """As `fit`, from features (n, F) by `pooled(seed)` of clouds in units of `scale`."""
         values = checked(values, len(features), names, units, LEAST)
-        features, about = standardised(features)
+        features, about = standardised(features, NOISE * float(np.abs(features).max()))
+        patterns = differing(features, values, names, LEAST)
         wanted, spread = standardised(values)
         weights = np.zeros((features.shape[1], len(names)))
         intercept, errors = np.zeros(len(names)), np.full(values.shape, np.nan)
-        for columns, rows in labelled(values):
+        for columns, rows in patterns:
             found = lasso(features[rows], wanted[np.ix_(rows, columns)], self.folds, seed)
             weights[:, columns], intercept[columns], errors[np.ix_(rows, columns)] = found
         return Learned(
@@ -92,8 +96,9 @@ class PointNetLasso:
             features=about,
             regression=Linear(weights, intercept),
             values=spread,
+            reach=reach(values, spread[1] * errors),
             errors=errors,
-            region=Region.of(features, seed),
+            regions=tuple(Region.of(features[rows], seed) for _, rows in patterns),
         )
 
 
@@ -140,11 +145,12 @@ class FourierRidge:
     ) -> Learned:
         """As `fit`, from features (n, F) by `pooled(seed)` of clouds in units of `scale`."""
         values = checked(values, len(features), names, units, LEAST)
-        features, about = standardised(features)
+        features, about = standardised(features, NOISE * float(np.abs(features).max()))
+        patterns = differing(features, values, names, LEAST)
         wanted, spread = standardised(values)
         sharpness, weights = np.ones(len(names)), np.zeros(values.shape)
         errors = np.full(values.shape, np.nan)
-        for columns, rows in labelled(values):
+        for columns, rows in patterns:
             at = np.ix_(rows, columns)
             sharpness[columns], weights[at], errors[at] = kernel_ridge(features[rows], wanted[at])
         return Learned(
@@ -155,8 +161,9 @@ class FourierRidge:
             features=about,
             regression=Kernel(features, sharpness, weights),
             values=spread,
+            reach=reach(values, spread[1] * errors),
             errors=errors,
-            region=Region.of(features, seed),
+            regions=tuple(Region.of(features[rows], seed) for _, rows in patterns),
         )
 
 
@@ -169,18 +176,27 @@ def surfaces(meshes: Sequence[Trimesh]) -> tuple[float, list[Cloud]]:
     ------
     EmptyMesh, MeasureError
         Naming the mesh by its number.
+    InputError
+        If one is of another size by far, as in a wrong unit.
     """
-    clouds: list[Cloud] = []
-    scale = 0.0
-    for i, mesh in enumerate(meshes):
-        try:
-            if not clouds:
-                corners = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces, np.int64)].reshape(-1, 3)
-                scale = float(np.ptp(corners, axis=0).max(initial=0.0)) / 2 or 1.0
-            clouds.append(Cut.of(mesh, scale).cloud())
-        except LampoptError as error:
-            raise type(error)(f"mesh {i}: {error}") from error
-    return scale, clouds
+    sizes = np.array([_of(i, size, mesh) for i, mesh in enumerate(meshes)])
+    off = np.abs(np.log(sizes / np.median(sizes)))
+    if np.ptp(np.log(sizes)) > np.log(APART):
+        odd = int(off.argmax())
+        raise InputError(
+            f"mesh {odd}: expected a size such as the others', {np.median(sizes):.3g} by their median, "
+            f"got {sizes[odd]:.3g}; bring all in one unit"
+        )
+    scale = float(sizes[0]) / 2
+    return scale, [_of(i, lambda m: Cut.of(m, scale).cloud(), mesh) for i, mesh in enumerate(meshes)]
+
+
+def _of(number: int, what: Callable[[Trimesh], Any], mesh: Trimesh) -> Any:
+    """`what` of a mesh, named by its number where it is refused."""
+    try:
+        return what(mesh)
+    except LampoptError as error:
+        raise type(error)(f"mesh {number}: {error}") from error
 
 
 def _sound(name: str, **counts: int) -> None:
