@@ -258,7 +258,8 @@ def trusted(name: str, measure: Interval, mesh: Trimesh) -> tuple[Array, bool]:
         If it returns something else. What it raises is passed on.
     """
     ends = np.asarray(measure.interval(mesh, LEVEL), float)  # infinite ends promise nothing, and may
-    if ends.shape != (wanted := (len(measure.names), 2)) or np.isnan(ends).any():  # type: ignore[attr-defined]
+    names: tuple[str, ...] = getattr(measure, "names", ())
+    if ends.shape != (wanted := (len(names), 2)) or np.isnan(ends).any():
         raise PluginError(f"measure {name!r}: interval: expected {wanted} low and high ends, got {ends!r:.100}")
     return ends, bool(measure.outside(mesh))
 
