@@ -86,7 +86,7 @@ class Composed:
             check(**self._options())
 
     def _options(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]  # a dataclass once decorated
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
 
     def __call__(self, mesh: Trimesh) -> Array:
         """Values (p,). Raises EmptyMesh, and MeasureError where a feature is not there."""
