@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
 import json
@@ -54,10 +55,30 @@ def key(value: object) -> str:
 
 
 def source(cls: type) -> str:
-    """A hash of the code behind a plugin class: its package's Python files, or its one file."""
-    file = Path(sys.modules[cls.__module__].__file__ or "")
-    files = sorted(file.parent.glob("*.py")) if (file.parent / "__init__.py").exists() else [file]
-    return key([path.read_text(encoding="utf-8") for path in files])
+    """A hash of the code behind a class: its file, and those of its package that this one needs."""
+    waiting, found = [Path(sys.modules[cls.__module__].__file__ or "")], {}
+    while waiting:
+        if (path := waiting.pop()) not in found:
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            found[path] = parsed(path)
+            waiting += [beside for module in _imported(tree) if (beside := path.parent / f"{module}.py").exists()]
+    return key([found[path] for path in sorted(found)])
+
+
+def _imported(tree: ast.AST) -> list[str]:
+    """Modules that a file takes from beside itself: `.module` or `package.module`, here or within a function."""
+    froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    names = [(node.module or "").rpartition(".")[2] for node in froms if node.module]
+    return names + [alias.name for node in froms if node.level for alias in node.names]
+
+
+def parsed(path: Path) -> str:
+    """What a Python file does: its syntax tree, so that a comment, a docstring or a line break alters nothing."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            node.body = node.body[1:]
+    return ast.dump(tree)
 
 
 @dataclass
@@ -77,7 +98,7 @@ class Bench:
         self.cache.mkdir(parents=True, exist_ok=True)
         self.scores = Scores(self.cache / f"scores-{ROWS}.jsonl")
         used = [self.plugins.get(*which).resolve() for which in (("solver", "kkt"), ("measure", "plate"))]
-        core = [(Path(lampopt.__file__).parent / f"{name}.py").read_text(encoding="utf-8") for name in CORE]
+        core = [parsed(Path(lampopt.__file__).parent / f"{name}.py") for name in CORE]
         self.code = key([core, *map(source, used)])
 
     @contextmanager

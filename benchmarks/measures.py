@@ -34,7 +34,7 @@ from lampopt.measured import values_of
 from lampopt.metrics import mean_absolute_error, r_squared
 from lampopt.protocols import Gradient, Measure
 
-from .common import Bench, Row, line, source
+from .common import Bench, Row, line, parsed, source
 from .fidelity import plain, show, state
 from .truth import Known, families
 
@@ -50,16 +50,16 @@ def measured(bench: Bench, known: Known, parameters: NDArray[np.float64]) -> Row
     from .recut import recut
 
     family = known.family
+    names = sorted({address.partition(".")[0] for address in _truth(known, (family.low + family.high) / 2)})
 
     def make() -> Row:
         mesh = family.mesh(parameters)
         truth = known.at(parameters, mesh)
-        names = sorted({address.partition(".")[0] for address in truth})
         found = {made: read(bench, names, shape) for made, shape in zip(MADE, (mesh, recut(mesh)), strict=True)}
         return {"true": truth, **{made: {a: values.get(a) for a in truth} for made, values in found.items()}}
 
-    code = [source(bench.plugins.get("measure", "extents").resolve()), source(type(family))]
-    code.append(Path(inspect.getfile(Known)).read_text(encoding="utf-8"))
+    used = [bench.plugins.get("source", family.name), *(bench.plugins.get("measure", name) for name in names)]
+    code = [*(source(one.resolve()) for one in used), *(parsed(Path(inspect.getfile(of))) for of in (Known, recut))]
     return bench.scores.get(["measures", family.name, parameters.tolist(), code], make)
 
 

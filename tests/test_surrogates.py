@@ -23,7 +23,7 @@ from lampopt_pointnet.cloud import SIDE, Cut
 from lampopt_pointnet.conformal import Region
 from lampopt_pointnet.learned import Learned
 from lampopt_pointnet.pooled import PointNet, Waves
-from lampopt_pointnet.regression import kernel_ridge, lasso
+from lampopt_pointnet.regression import kernel_ridge, lasso, lasso_path
 from lampopt_pointnet.surrogates import FourierRidge, PointNetLasso
 
 KINDS = (PointNetLasso.example(), FourierRidge.example())
@@ -332,6 +332,24 @@ def test_leaving_one_out_by_formula_is_leaving_one_out():
         rest = np.arange(25) != i
         model = KernelRidge(alpha=ridge, kernel="rbf", gamma=sharpness[0]).fit(features[rest], values[rest, 0])
         np.testing.assert_allclose(values[i, 0] - model.predict(features[[i]])[0], errors[i, 0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("shapes", "alike"), [(200, 1e-2), (200, 0.0), (30, 1e-2)])
+def test_lasso_paths_are_those_of_its_optimality_conditions(shapes, alike):
+    """Tibshirani 1996: Xᵀ(y − Xw − b) / n = penalty · sign(w) where w is not 0, no larger elsewhere; twins included."""
+    rng = np.random.default_rng(3)
+    few = rng.normal(size=(shapes, 12))
+    features = np.concatenate([few, few + alike * rng.normal(size=few.shape)], axis=1)
+    values = few @ rng.normal(size=12) + 0.1 * rng.normal(size=shapes)
+    steepest = np.abs((features - features.mean(axis=0)).T @ values).max() / shapes
+    penalties = steepest * np.geomspace(1, 1e-3, 12)
+    path, intercepts = lasso_path(features, values, penalties)
+    for weights, intercept, penalty in zip(path.T, intercepts, penalties, strict=True):
+        pull = features.T @ (values - features @ weights - intercept) / shapes
+        assert np.abs(pull).max() <= penalty + 1e-9 * steepest
+        np.testing.assert_allclose(
+            pull[weights != 0], penalty * np.sign(weights[weights != 0]), rtol=0, atol=1e-9 * steepest
+        )
 
 
 def test_lasso_finds_the_few_features_that_matter():
