@@ -227,7 +227,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the draws")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where rows are kept")
-    parser.add_argument("--out", type=Path, default=None, help="folder for a JSON document")
+    parser.add_argument("--out", type=Path, default=None, help="folder for a JSON document, and the table for docs")
     parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
     args = parser.parse_args(given)
     os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
@@ -254,29 +254,44 @@ def main(given: Sequence[str] | None = None) -> int:
     text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
+        if args.table == "accuracy":
+            (args.out / "measures-accuracy.md").write_text(markdown(pivot(table)), encoding="utf-8")
         (args.out / f"measures-{args.table}.json").write_text(text + "\n", encoding="utf-8")
     if args.json:
         sys.stdout.write(text + "\n")
     elif args.table == "accuracy":
-        pivot(Console(width=160), table)
+        first, *rest = pivot(table)
+        out = Table(*first, caption="\n".join(table["notes"]))
+        for cells in rest:
+            out.add_row(*cells)
+        Console(width=180).print(out)
     else:
         show(Console(width=160), f"measures: {args.table}", table)
     return 0
 
 
-def pivot(console: Console, table: dict[str, Any]) -> None:
-    """A line for each value, a column for each surface and factor: R² (* falls short), or what a constant is off."""
+def pivot(table: dict[str, Any]) -> list[list[str]]:
+    """A line for each value, a column for each surface and factor: R² (* falls short), or what a constant is off.
+
+    Where R² falls short, what it is once a straight line is taken out stands behind it.
+    """
     heads = [(made, factor) for made in MADE for factor in FACTORS]
     cells: dict[str, dict[tuple[str, float], str]] = defaultdict(dict)
     for row in table["rows"]:
         name, _, what = row["name"].rpartition(": ")
-        text = f"{row['value']:.5f}{'*' if row['met'] is False else ''}" if what == "R²" else f"± {row['value']:.2g}"
+        text = f"{row['value']:.5f}" if what == "R²" else f"± {row['value']:.2g}"
+        if row["met"] is False:
+            text += f"* (calibrated {row['calibrated']:.5f})"
         missed = f" ({row['missing']} not found)" if row["missing"] else ""
         cells[name.partition(",")[0]][row["on"], row["f"]] = text + missed
-    out = Table("value", *(f"{made}, f = {factor:g}" for made, factor in heads), caption="\n".join(table["notes"]))
-    for name, found in cells.items():
-        out.add_row(name, *(found.get(head, "") for head in heads))
-    console.print(out)
+    first = ["value", *(f"{made}, f = {factor:g}" for made, factor in heads)]
+    return [first, *([name, *(found.get(head, "") for head in heads)] for name, found in cells.items())]
+
+
+def markdown(lines: list[list[str]]) -> str:
+    """The table as it stands in docs/measures.md."""
+    first, *rest = (f"| {' | '.join(line)} |\n" for line in lines)
+    return first + "|---" * len(lines[0]) + "|\n" + "".join(rest)
 
 
 if __name__ == "__main__":

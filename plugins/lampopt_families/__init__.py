@@ -10,6 +10,7 @@ def lampopt_sources() -> dict[str, str]:
         "ahmed": "lampopt_families.ahmed:AhmedSource",
         "bwb": "lampopt_families.bwb:BwbSource",
         "car": "lampopt_families.car:CarSource",
+        "frame": "lampopt_families.frame:FrameSource",
         "morph": "lampopt_families.morph:MorphSource",
         "plate": "lampopt_families.plate:PlateSource",
     }
