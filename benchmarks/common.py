@@ -24,7 +24,8 @@ import lampopt
 from lampopt.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE = ("check", "decode", "measured", "mix", "mixes", "solve", "task", "topology")  # a judged design depends on them
+CORE = ("check", "decode", "loop", "measured", "metrics", "mix", "mixes", "solve", "task", "topology", "units")  # a
+# judged design depends on them
 ROWS = 1  # raise it when kept rows come to hold something else
 Row = dict[str, Any]
 
@@ -54,22 +55,29 @@ def key(value: object) -> str:
     return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=8).hexdigest()
 
 
-def source(cls: type) -> str:
-    """A hash of the code behind a class: its file, and those of its package that this one needs."""
-    waiting, found = [Path(sys.modules[cls.__module__].__file__ or "")], {}
+def source(of: type | ModuleType) -> str:
+    """A hash of the code behind a class or module: its file, and those beside it that this one needs."""
+    module = of if isinstance(of, ModuleType) else sys.modules[of.__module__]
+    waiting, found = [Path(module.__file__ or "")], {}
     while waiting:
         if (path := waiting.pop()) not in found:
-            tree = ast.parse(path.read_text(encoding="utf-8"))
             found[path] = parsed(path)
-            waiting += [beside for module in _imported(tree) if (beside := path.parent / f"{module}.py").exists()]
+            beside = [path.parent / f"{name}.py" for name in _imported(path)]
+            waiting += [other for other in beside if other.exists()]
     return key([found[path] for path in sorted(found)])
 
 
-def _imported(tree: ast.AST) -> list[str]:
-    """Modules that a file takes from beside itself: `.module` or `package.module`, here or within a function."""
-    froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    names = [(node.module or "").rpartition(".")[2] for node in froms if node.module]
-    return names + [alias.name for node in froms if node.level for alias in node.names]
+def core(*names: str) -> list[str]:
+    """What modules of lampopt itself do."""
+    return [parsed(Path(lampopt.__file__).parent / f"{name}.py") for name in names]
+
+
+def _imported(path: Path) -> list[str]:
+    """What may be modules beside a file that it imports from: `.module`, `package.module`, here or in a function."""
+    nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    froms = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    names = [alias.name for node in nodes if isinstance(node, ast.Import | ast.ImportFrom) for alias in node.names]
+    return [name.rpartition(".")[2] for name in [*names, *(node.module or "" for node in froms)]]
 
 
 def parsed(path: Path) -> str:
@@ -98,8 +106,7 @@ class Bench:
         self.cache.mkdir(parents=True, exist_ok=True)
         self.scores = Scores(self.cache / f"scores-{ROWS}.jsonl")
         used = [self.plugins.get(*which).resolve() for which in (("solver", "kkt"), ("measure", "plate"))]
-        core = [parsed(Path(lampopt.__file__).parent / f"{name}.py") for name in CORE]
-        self.code = key([core, *map(source, used)])
+        self.code = key([core(*CORE), *map(source, used)])
 
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[..., None]]:

@@ -16,6 +16,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -34,7 +35,7 @@ from lampopt.measured import values_of
 from lampopt.metrics import mean_absolute_error, r_squared
 from lampopt.protocols import Gradient, Measure
 
-from .common import Bench, Row, line, parsed, source
+from .common import Bench, Row, core, key, line, parsed, source
 from .fidelity import plain, show, state
 from .truth import Known, families
 
@@ -45,22 +46,41 @@ FIELDS = 6  # smooth directions in which derivatives are compared
 FLAT = 1e-9  # of the value: one that is the same for all designs has no R²
 
 
-def measured(bench: Bench, known: Known, parameters: NDArray[np.float64]) -> Row:
-    """What is true of one design, and by surface what is measured of it; None and why where nothing is found."""
-    from .recut import recut
+@dataclass(frozen=True)
+class Read:
+    """A family, the measures that its truth is known for, and a hash of all that a reading depends on."""
 
-    family = known.family
-    names = sorted({address.partition(".")[0] for address in _truth(known, (family.low + family.high) / 2)})
+    bench: Bench
+    known: Known
+    names: tuple[str, ...]
+    code: str
 
-    def make() -> Row:
-        mesh = family.mesh(parameters)
-        truth = known.at(parameters, mesh)
-        found = {made: read(bench, names, shape) for made, shape in zip(MADE, (mesh, recut(mesh)), strict=True)}
+    @classmethod
+    def of(cls, bench: Bench, known: Known) -> Read:
+        from . import truth
+        from .recut import recut
+
+        family = known.family
+        names = tuple(sorted({a.partition(".")[0] for a in _truth(known, (family.low + family.high) / 2)}))
+        used = [bench.plugins.get("source", family.name), *(bench.plugins.get("measure", name) for name in names)]
+        own = [inspect.getsource(part) for part in (cls, read)]
+        files = [parsed(Path(inspect.getfile(part))) for part in (truth, recut)]
+        code = [*(source(one.resolve()) for one in used), *files, *core("measured", "topology"), own]
+        return cls(bench, known, names, key(code))
+
+    def at(self, parameters: NDArray[np.float64]) -> Row:
+        """What is true of one design, and by surface what is measured of it; None where nothing is found."""
+        known = ["measures", self.known.family.name, parameters.tolist(), self.code]
+        return self.bench.scores.get(known, lambda: self._at(parameters))
+
+    def _at(self, parameters: NDArray[np.float64]) -> Row:
+        from .recut import recut
+
+        mesh = self.known.family.mesh(parameters)
+        truth = self.known.at(parameters, mesh)
+        shapes = dict(zip(MADE, (mesh, recut(mesh)), strict=True))
+        found = {made: read(self.bench, self.names, shape) for made, shape in shapes.items()}
         return {"true": truth, **{made: {a: values.get(a) for a in truth} for made, values in found.items()}}
-
-    used = [bench.plugins.get("source", family.name), *(bench.plugins.get("measure", name) for name in names)]
-    code = [*(source(one.resolve()) for one in used), *(parsed(Path(inspect.getfile(of))) for of in (Known, recut))]
-    return bench.scores.get(["measures", family.name, parameters.tolist(), code], make)
 
 
 def read(bench: Bench, names: Sequence[str], mesh: Trimesh) -> dict[str, float]:
@@ -99,12 +119,13 @@ def accuracy(bench: Bench, names: Sequence[str], count: int) -> dict[str, Any]:
     lines, notes = [], []
     for name in names:
         known = families()[name]
+        reading = Read.of(bench, known)
         for factor, least in FACTORS.items():
             with bench.stage(f"{name} f={factor:g}: {count} designs") as tell:
                 rows, refused = [], 0
                 for parameters, again in drawn(known, count, factor, bench.seed):
                     tell(len(rows) / count)
-                    rows.append(measured(bench, known, parameters))
+                    rows.append(reading.at(parameters))
                     refused = again
             if refused:
                 notes.append(f"{name} f={factor:g}: {refused} draws had no shape and were drawn again")
@@ -231,6 +252,9 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
     args = parser.parse_args(given)
     os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
+    import torch
+
+    torch.set_num_threads(args.threads)
     bench = Bench(args.cache, lampopt.Spec("sdf-mlp"), seed=args.seed)
     names = args.family or tuple(families())
     make = {
@@ -289,8 +313,8 @@ def pivot(table: dict[str, Any]) -> list[list[str]]:
 
 
 def markdown(lines: list[list[str]]) -> str:
-    """The table as it stands in docs/measures.md."""
-    first, *rest = (f"| {' | '.join(line)} |\n" for line in lines)
+    """The table as docs/measures.md includes it."""
+    first, *rest = (f"| {' | '.join(cells)} |\n" for cells in lines)
     return first + "|---" * len(lines[0]) + "|\n" + "".join(rest)
 
 

@@ -157,7 +157,7 @@ def test_names_of_stations():
 
 @pytest.mark.parametrize("text", ["", "half", "0.5,0.5", "0.0", "0.5,1", "nan"])
 def test_stations_that_are_none(text):
-    with pytest.raises(InputError, match=r"stations: expected distinct shares of the half span from 0.03 to 0.96"):
+    with pytest.raises(InputError, match=r"stations: expected distinct shares of the half span from 0.035 to 0.95"):
         Stations(stations=text)
 
 

@@ -32,6 +32,7 @@ from lampopt_families.frame_tubes import COLUMNS, DENSITY, PAIRS, SHORT, Tube, f
 
 TABLE = Path(__file__).parents[2] / "shared" / "data" / "framed" / "all_structural_data.csv"
 MIDDLE = (np.array(LOW) + HIGH) / 2
+NARROWER = ("reach", "seat_tube_length", "head_tube_length", "head_tube_diameter")
 PUBLISHED_DEFAULT_WALL = 0.9  # [mm] of BikeCAD's seat tube
 
 
@@ -82,6 +83,7 @@ def test_meshes_are_the_true_ones_bit_for_bit():
         ({"edge": 0.0}, "edge: expected 3 to 200 mm, got 0"),
         ({"labels": "weight"}, "labels: expected mass or none, got 'weight'"),
         ({"material": "carbon"}, "material: expected one of steel, aluminum, titanium, got 'carbon'"),
+        ({"material": ["steel"]}, r"material: expected one of steel, aluminum, titanium, got \['steel'\]"),
     ],
 )
 def test_options_that_make_no_family(options, message):
@@ -148,15 +150,19 @@ def test_the_surface_is_that_of_the_tubes(factor):
                 assert (np.abs(gap[near]) < 1e-6).sum() >= 4 * 32
 
 
-def test_whole_sizes_in_closed_form():
-    for parameters in rows(1, 3, seed=5):
-        values, low, high = derived(parameters), *frame_mesh(parameters).bounds
-        assert high[0] - low[0] == pytest.approx(values["length"], abs=1e-6)
-        assert high[1] - low[1] == pytest.approx(values["width"])
-        s = checked(parameters)
-        seat = np.radians(s.seat_tube_angle)
-        saddle = (s.seat_tube_length + s.seat_tube_extension) * np.sin(seat) + s.seat_tube_diameter / 2 * np.cos(seat)
-        assert high[2] == pytest.approx(max(values["head_height"], saddle), abs=1e-6)
+@pytest.mark.parametrize("factor", [1, 3])
+def test_whole_sizes_in_closed_form(factor):
+    """Random draws and corners; far out other tubes than head tube and dropouts are the outermost."""
+    for parameters in rows(factor, 6, seed=5):
+        values, low, high = derived(parameters), *frame_mesh(parameters, segments=64, edge=200.0).bounds
+        whole = [values[name] for name in ("length", "width", "height")]
+        np.testing.assert_allclose(high - low, whole, atol=0.1)  # polygons fall short of their circles
+        if factor == 1:
+            s = checked(parameters)
+            seat = np.radians(s.seat_tube_angle)
+            saddle = (s.seat_tube_length + s.seat_tube_extension) * np.sin(seat)
+            saddle += s.seat_tube_diameter / 2 * np.cos(seat)
+            assert high[2] == pytest.approx(max(values["head_height"], saddle), abs=0.05)
 
 
 def at_name(parameters, name):
@@ -181,8 +187,7 @@ def test_derived_lengths_agree_with_triangles():
         perimeter = (diagonal + v["top_tube_length"] + head) / 2
         sides = perimeter - np.array([diagonal, v["top_tube_length"], head])
         area = down * seat * np.sin(turn) / 2 + np.sqrt(perimeter * sides.prod())
-        convex = v["front_triangle_area"] == pytest.approx(area, rel=1e-6)
-        assert convex or v["front_triangle_area"] < area
+        assert v["front_triangle_area"] == pytest.approx(area, rel=1e-6)
 
 
 def test_a_level_frame_by_hand():
@@ -202,25 +207,39 @@ def test_a_level_frame_by_hand():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"stack": -1}, "stack: expected more than 0 and up to 2,000 mm, got -1 mm"),
+        ({"stack": -1}, "stack: expected 1 to 2000 mm, got -1 mm"),
+        ({"seat_stay_diameter": 1e-9}, "seat_stay_diameter: expected 1 to 2000 mm, got 1e-09 mm"),
+        ({"bottom_bracket_drop": 1e200}, r"bottom_bracket_drop: expected -2000 to 2000 mm, got 1e\+200 mm"),
         ({"head_tube_angle": 95}, "head_tube_angle: expected 45 to 90 deg, got 95 deg"),
-        ({"head_tube_length": 70}, "head_tube_length: expected more than .* joints, got 70 mm and 78 mm"),
-        ({"bottom_bracket_drop": 400}, "bottom_bracket_drop: expected less than three quarters of the chain stay"),
-        ({"chain_stay_length": 59, "bottom_bracket_drop": 0}, "chain_stay_length: expected the axle to clear"),
-        ({"seat_tube_length": 80}, "seat_tube_length: expected the seat stays to join it above the axle"),
-        ({"stack": 120, "head_tube_length": 160}, "stack: expected the down tube to join the head tube above"),
-        ({"reach": 5, "seat_tube_angle": 88}, "reach: expected the top tube to run forward"),
-        ({"dropout_spacing": 20}, "dropout_spacing: expected room between the dropouts"),
-        ({"seat_tube_diameter": 16}, "seat_tube_diameter: expected the seat stays to meet it"),
-        ({"down_tube_diameter": 90}, "down_tube_diameter: expected it to meet the head tube within its end"),
-        ({"top_tube_diameter": 90}, "top_tube_diameter: expected it to meet the head tube within its end"),
-        ({"seat_stay_diameter": 80}, "seat_stay_diameter: expected it to meet the seat tube within its end"),
+        ({"head_tube_length": 70}, "head_tube_length, .* joints .*: needs more than 78 mm, has 70 mm"),
+        ({"bottom_bracket_drop": 400}, "for this bottom_bracket_drop,: needs more than 533.333 mm, has 411.5 mm"),
+        ({"chain_stay_length": 59, "bottom_bracket_drop": 0}, "chain_stay_length, level, for the axle to clear"),
+        ({"seat_tube_length": 80}, "seat_tube_length, for the seat stays to join it above the axle"),
+        ({"stack": 120, "head_tube_length": 160}, "stack, for the down tube to join the head tube above"),
+        ({"reach": 5, "seat_tube_angle": 88}, "reach, for the top tube to run forward"),
+        ({"reach": 1, "head_tube_angle": 90}, "down_tube_diameter: where it meets the head tube"),
+        ({"dropout_spacing": 20}, "dropout_spacing, for the dropouts,: needs more than 23.75 mm, has 20 mm"),
+        ({"seat_tube_diameter": 16}, "seat_tube_diameter, .* meet it,: needs more than 18 mm, has 16 mm"),
+        ({"down_tube_diameter": 90}, "down_tube_diameter: where it meets the head tube"),
+        ({"top_tube_diameter": 90}, "top_tube_diameter: where it meets the head tube"),
+        ({"seat_stay_diameter": 80}, "seat_stay_diameter: where it meets the seat tube"),
         ({"reach": np.inf}, "expected finite parameters, got reach is inf"),
     ],
 )
 def test_parameters_that_make_no_frame(values, message):
     with pytest.raises(InputError, match=f"frame: .*{message}"):
         frame_mesh(at(**values))
+
+
+def test_a_tube_thinner_than_its_walls_weighs_nothing():
+    with pytest.raises(InputError, match=r"seat_stay_diameter: expected more than two walls of 1 mm, got 1.5 mm"):
+        mass(at(seat_stay_diameter=1.5))
+
+
+@pytest.mark.parametrize("size", [np.nan, np.inf, -5.0, np.ones(3)])
+def test_any_frame_needs_sizes(size):
+    with pytest.raises(InputError, match="reach: expected one size above 0"):
+        outside(checked(MIDDLE)._replace(reach=size))
 
 
 def test_where_the_widened_range_ends():
@@ -269,7 +288,7 @@ def bored(parameters, walls):
 def test_mass_agrees_with_solids_cut_to_each_other():
     for parameters in rows(1, 2, seed=4):
         by_solids = bored(parameters, WALLS) * DENSITY["steel"] * 1e-9
-        assert mass(parameters) == pytest.approx(by_solids, rel=0.003)
+        assert mass(parameters) == pytest.approx(by_solids, rel=0.001)
 
 
 def test_mass_is_a_label():
@@ -424,4 +443,7 @@ def test_the_ranges_lie_within_the_table(table):
     sizes, _ = framed(table)
     for name, low, high in zip(NAMES, LOW, HIGH, strict=True):
         tenth, ninetieth = np.nanpercentile(getattr(sizes, name), [10, 90])
-        assert tenth - 0.6 <= low < high <= ninetieth + 0.6, name
+        if name in NARROWER:
+            assert tenth - 0.6 <= low < high <= ninetieth + 0.6, name
+        else:
+            assert (low, high) == pytest.approx((tenth, ninetieth), abs=0.6), name

@@ -364,6 +364,15 @@ def test_lasso_finds_the_few_features_that_matter():
     assert 0.04 < errors.std() < 0.08  # the noise, a little more by leaving out
 
 
+def test_lasso_of_a_value_that_a_fold_leaves_without_variation():
+    values = np.zeros((12, 1))
+    values[3] = 1
+    weights, intercept, errors = lasso(np.random.default_rng(6).normal(size=(12, 30)), values, 10, 0)
+    assert np.isfinite(weights).all() and np.isfinite(errors).all()
+    np.testing.assert_allclose(errors[3], 1.0)  # nothing else tells of it
+    np.testing.assert_allclose(intercept, 1 / 12)
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: type(k).__name__)
 def test_unlabelled_rows_are_left_out_of_their_column_only(kind):
     meshes, values = boxes(40, 8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -58,7 +59,8 @@ WALLS = {  # [mm] BikeCAD's, which nearly all of the designs behind FRAMED kept;
     "chain_stay": 1.2,
     "seat_stay": 1.0,
 }
-LARGEST = 2000.0  # [mm] beyond lies a slip
+LEAST, LARGEST = 1.0, 2000.0  # [mm] beyond lies a slip
+FLATTEST = 1e-6  # sine of the angle that tubes meet at, below which they run along one another
 ANGLES = (45.0, 90.0)  # [deg] of seat and head tube, least and most
 EDGES = (3.0, 200.0)  # [mm] finest and coarsest mesh
 PAST = {  # [mm] by which a tube of the mesh goes beyond the axis of the one that it is welded to, inside that one
@@ -109,10 +111,9 @@ class FrameSource:
     def __post_init__(self) -> None:
         FAMILY.checked_options(self.count, self.design, self.seed)
         _check_options(self.segments, self.edge)
-        if self.labels not in ("", "mass"):
+        if not isinstance(self.labels, str) or self.labels not in ("", "mass"):
             raise InputError(f"frame: labels: expected mass or none, got {self.labels!r:.100}")
-        if self.material not in DENSITY:
-            raise InputError(f"frame: material: expected one of {', '.join(DENSITY)}, got {self.material!r:.100}")
+        _density(self.material)
 
     def __call__(self) -> Exemplars:
         """The exemplars; meshes are made on access."""
@@ -144,11 +145,18 @@ def frame_mesh(parameters: Array, *, segments: int = 32, edge: float = 12.0) -> 
 
 
 def mass(parameters: Array, *, material: str = "steel") -> float:
-    """What a frame weighs [kg] with the walls `WALLS`, dropouts solid."""
-    if material not in DENSITY:
-        raise InputError(f"frame: material: expected one of {', '.join(DENSITY)}, got {material!r:.100}")
+    """What a frame weighs [kg] with the walls `WALLS`, dropouts solid.
+
+    Raises InputError where the parameters make no frame, or a tube that is narrower than its two walls.
+    """
+    density, s = _density(material), checked(parameters)
+    for name, wall in WALLS.items():
+        if (diameter := float(getattr(s, f"{name}_diameter"))) <= 2 * wall:
+            raise InputError(
+                f"frame: {name}_diameter: expected more than two walls of {wall:g} mm, got {diameter:.6g} mm"
+            )
     walls = {name: np.asarray(wall) for name, wall in WALLS.items()}
-    return float(DENSITY[material] * 1e-9 * volume(checked(parameters), walls))
+    return float(density * 1e-9 * volume(s, walls))
 
 
 def checked(parameters: Array) -> Sizes:
@@ -156,57 +164,62 @@ def checked(parameters: Array) -> Sizes:
     values = FAMILY.parameters(parameters).tolist()
     sizes: dict[str, Any] = {**dict(zip(NAMES, values, strict=True)), **FIXED}
     s = Sizes(**sizes)
-    wrong = [
-        f"{q.name}: expected more than 0 and up to {LARGEST:,g} mm, got {value:.6g} mm"
-        for q, value in zip(FAMILY.space, values, strict=True)
-        if q.unit == "mm" and q.name != "bottom_bracket_drop" and not 0 < value <= LARGEST
-    ]
-    wrong += [
-        f"{q.name}: expected {ANGLES[0]:g} to {ANGLES[1]:g} deg, got {value:.6g} deg"
-        for q, value in zip(FAMILY.space, values, strict=True)
-        if q.unit == "deg" and not ANGLES[0] <= value <= ANGLES[1]
-    ]
+    wrong = []
+    for q, value in zip(FAMILY.space, values, strict=True):
+        low, high = ANGLES if q.unit == "deg" else (LEAST, LARGEST)
+        low = -LARGEST if q.name == "bottom_bracket_drop" else low
+        if not low <= value <= high:
+            wrong.append(f"{q.name}: expected {low:g} to {high:g} {q.unit}, got {value:.6g} {q.unit}")
     wrong = wrong or [
-        f"{what}, got {value:.6g} mm and {least:.6g} mm" for what, value, least in _rooms(s) if value <= least
+        f"{what}: needs more than {least:.6g} mm, has {value:.6g} mm"
+        for what, value, least in _rooms(s)
+        if value <= least
     ]
     if wrong:
         raise InputError("frame: " + "; ".join(wrong))
     return s
 
 
+def _density(material: str) -> float:
+    """[kg/m³]."""
+    if not isinstance(material, str) or material not in DENSITY:
+        raise InputError(f"frame: material: expected one of {', '.join(DENSITY)}, got {material!r:.100}")
+    return DENSITY[material]
+
+
 def _rooms(s: Any) -> list[tuple[str, float, float]]:
-    """What has to be longer than what [mm], and how to say so."""
+    """What has to have more room than what [mm], and what to call it."""
     found = tubes(s)
     extensions = s.head_tube_upper_extension + s.head_tube_lower_extension
     rooms = [
-        ("head_tube_length: expected more than between its ends and the joints", s.head_tube_length, extensions),
+        ("head_tube_length, for the joints of top and down tube", s.head_tube_length, extensions),
         (
-            "bottom_bracket_drop: expected less than three quarters of the chain stay",
-            0.75 * s.chain_stay_length,
-            abs(s.bottom_bracket_drop),
+            "chain_stay_length, for this bottom_bracket_drop,",
+            s.chain_stay_length,
+            abs(s.bottom_bracket_drop) / 0.75,
         ),
         (
-            "chain_stay_length: expected the axle to clear seat tube and bottom bracket",
+            "chain_stay_length, level, for the axle to clear seat tube and bottom bracket,",
             found["chain_stay"].end[0],
             (s.bottom_bracket_diameter + s.seat_tube_diameter) / 2 + s.chain_stay_diameter,
         ),
         (
-            "seat_tube_length: expected the seat stays to join it above the axle and the bottom bracket",
+            "seat_tube_length, for the seat stays to join it above the axle, at a height that",
             found["seat_stay"].start[2],
             max(0, s.bottom_bracket_drop) + s.bottom_bracket_diameter + s.chain_stay_diameter,
         ),
         (
-            "stack: expected the down tube to join the head tube above the bottom bracket",
+            "stack, for the down tube to join the head tube above the bottom bracket, at a height that",
             found["down_tube"].end[2],
             s.bottom_bracket_diameter + s.down_tube_diameter / 2,
         ),
         (
-            "reach: expected the top tube to run forward from seat to head tube",
+            "reach, for the top tube to run forward from seat to head tube, by what",
             -found["top_tube"].run[0],
             (s.seat_tube_diameter + s.head_tube_diameter) / 2,
         ),
-        ("dropout_spacing: expected room between the dropouts", s.dropout_spacing, s.chain_stay_diameter),
-        ("seat_tube_diameter: expected the seat stays to meet it", s.seat_tube_diameter / 2, s.seat_stay_offset),
+        ("dropout_spacing, for the dropouts,", s.dropout_spacing, s.chain_stay_diameter),
+        ("seat_tube_diameter, for the seat stays to meet it,", s.seat_tube_diameter, 2 * s.seat_stay_offset),
     ]
     welded = (
         ("down_tube", s.head_tube_angle, "head_tube", s.head_tube_lower_extension),
@@ -216,8 +229,8 @@ def _rooms(s: Any) -> list[tuple[str, float, float]]:
     )
     for name, angle, other, room in welded:
         tube = found[name]
-        sine = np.sqrt(1 - (tube.run @ upward(angle) / tube.length) ** 2)
-        text = f"{name}_diameter: expected it to meet the {other.replace('_', ' ')} within its end"
+        sine = np.sqrt(max(1 - float(tube.run @ upward(angle) / tube.length) ** 2, FLATTEST**2))
+        text = f"{name}_diameter: where it meets the {other.replace('_', ' ')}, that"
         rooms.append((text, float(room), float(tube.diameter / 2 / sine)))
     return rooms
 
@@ -228,8 +241,8 @@ def derived(parameters: Array) -> dict[str, float]:
     `down_tube_length`, `top_tube_length`, `seat_stay_length`: of the axes, from joint to joint; the stay's in space.
     `effective_top_tube_length`: level, from the head tube's upper end to the seat tube's axis. `rear_centre`: level,
     from bottom bracket to rear axle. `down_tube_angle`, `top_tube_angle`: to the horizontal; the top tube's is positive
-    where it rises to the head tube. `front_triangle_area`: between the axes of the four tubes. `length`, `width`: of
-    the whole frame; `head_height`: of the head tube's highest point above the bottom bracket's axis.
+    where it rises to the head tube. `front_triangle_area`: between the axes of the four tubes. `length`, `width`,
+    `height`: of the whole frame; `head_height`: of the head tube's highest point above the bottom bracket's axis.
     """
     s: Any = checked(parameters)
     found = tubes(s)
@@ -237,51 +250,82 @@ def derived(parameters: Array) -> dict[str, float]:
     x, _, z = np.array([down.start, top.start, top.end, down.end]).T
     area = abs((x * np.roll(z, -1) - z * np.roll(x, -1)).sum()) / 2
     lean = np.radians(s.head_tube_angle)
-    front = found["head_tube"].start[0] - s.head_tube_diameter / 2 * np.sin(lean)
-    dropout = found["dropout"]
     values = {
         "down_tube_length": down.length,
         "top_tube_length": top.length,
         "seat_stay_length": found["seat_stay"].length,
         "effective_top_tube_length": s.reach + s.stack / np.tan(np.radians(s.seat_tube_angle)),
-        "rear_centre": dropout.end[0],
+        "rear_centre": found["dropout"].end[0],
         "down_tube_angle": np.degrees(np.arctan2(down.run[2], -down.run[0])),
         "top_tube_angle": np.degrees(np.arctan2(top.run[2], -top.run[0])),
         "front_triangle_area": area,
-        "length": dropout.end[0] + dropout.diameter / 2 - front,
-        "width": 2 * dropout.end[1],
+        "length": _reach(s, 1, 0, 0) + _reach(s, -1, 0, 0),
+        "width": 2 * _reach(s, 0, 1, 0),
+        "height": _reach(s, 0, 0, 1) + _reach(s, 0, 0, -1),
         "head_height": s.stack + s.head_tube_diameter / 2 * np.cos(lean),
     }
     return {name: float(value) for name, value in values.items()}
 
 
 def outside(s: Sizes, *, segments: int = 32, edge: float = 12.0) -> Trimesh:
-    """The outside of any frame, FRAMED's too: its tubes united, the left ones mirror images of the right."""
-    from manifold3d import Manifold, Mesh64, OpType
+    """The outside of one frame, FRAMED's too: its tubes united, the left ones mirror images of the right.
+
+    Tubes that run into one another where they are not welded are united there too, and the frame has fewer windows.
+
+    Raises
+    ------
+    InputError
+        For sizes that are not single finite numbers, above 0 all but the drop; for options that make no mesh.
+    """
+    from manifold3d import Error, Manifold, Mesh64, OpType
     from trimesh import Trimesh
 
     _check_options(segments, edge)
-    seat, head = upward(s.seat_tube_angle), upward(s.head_tube_angle)
-    # A tube ends in a plane along the axis of the one it is welded to, so that it never comes out on the far side; a
-    # little beyond it, so that a top tube and stays wider than the seat tube overlap there and do not merely touch.
-    planes = {"down_tube": (None, head), "top_tube": (seat, head), "seat_stay": (seat, None)}
+    for name, size in s._asdict().items():
+        if np.ndim(size) or not np.isfinite(float(size)) or not (size > 0 or name == "bottom_bracket_drop"):
+            raise InputError(f"frame: {name}: expected one size above 0, got {size!r:.100}")
     parts = []
-    for name, tube in tubes(s).items():
-        before, beyond = (PAST.get((name, end), 0.0) for end in ("start", "end"))
-        way = tube.run / tube.length
-        longer = Tube(tube.start - before * way, tube.end + beyond * way, tube.diameter)
-        points, faces = _closed(longer, planes.get(name, (None, None)), segments, edge)
+    for name, tube, normals in _solids(s):
+        points, faces = _closed(tube, normals, segments, edge)
         parts.append(Manifold(Mesh64(points, faces.astype(np.uint64))))
         if name in (*PAIRS, "dropout"):
             parts.append(Manifold(Mesh64(points * (1, -1, 1), faces[:, ::-1].astype(np.uint64))))
-    united = Manifold.batch_boolean(parts, OpType.Add).to_mesh64()
-    return Trimesh(
-        np.asarray(united.vert_properties)[:, :3], np.asarray(united.tri_verts).astype(np.int64), process=False
-    )
+    united = Manifold.batch_boolean(parts, OpType.Add)
+    if united.status() != Error.NoError:
+        raise InputError(f"frame: expected tubes that can be united, got {united.status()}")
+    mesh = united.to_mesh64()
+    return Trimesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64), process=False)
 
 
-def _closed(tube: Tube, planes: tuple[Array | None, Array | None], segments: int, edge: float) -> tuple[Array, Array]:
-    """A solid tube's vertices and faces, faces outward; an end lies square or in the plane of y and a direction."""
+def _solids(s: Sizes) -> Iterator[tuple[str, Tube, tuple[Array, Array]]]:
+    """The tubes as solids, with the normals of their ends.
+
+    A tube ends in a plane along the axis of the one it is welded to, so that it never comes out on the far side; a
+    little beyond it, so that a top tube and stays wider than the seat tube overlap there and do not merely touch.
+    """
+    seat, head = (np.cross(ACROSS, upward(angle)) for angle in (s.seat_tube_angle, s.head_tube_angle))
+    planes = {"down_tube": (None, head), "top_tube": (seat, head), "seat_stay": (seat, None)}
+    for name, tube in tubes(s).items():
+        before, beyond = (PAST.get((name, end), 0.0) for end in ("start", "end"))
+        way = tube.run / tube.length
+        first, last = planes.get(name, (None, None))
+        longer = Tube(tube.start - before * way, tube.end + beyond * way, tube.diameter)
+        yield name, longer, (way if first is None else first, way if last is None else last)
+
+
+def _reach(s: Sizes, *towards: float) -> float:
+    """How far the frame extends from the origin along a unit vector [mm]: one of its tubes' ends is the outermost."""
+    found, out = [], np.array(towards)
+    for _, tube, normals in _solids(s):
+        way = tube.run / tube.length
+        for centre, normal in zip((tube.start, tube.end), normals, strict=True):
+            rim = out - normal * (way @ out) / (way @ normal)
+            found.append(centre @ out + tube.diameter / 2 * np.linalg.norm(rim))
+    return float(max(found))
+
+
+def _closed(tube: Tube, normals: tuple[Array, Array], segments: int, edge: float) -> tuple[Array, Array]:
+    """A solid tube's vertices and faces, faces outward, given the normals of its ends."""
     along = tube.run / tube.length
     first = ACROSS if abs(along[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     first = first - first @ along * along
@@ -289,8 +333,7 @@ def _closed(tube: Tube, planes: tuple[Array | None, Array | None], segments: int
     turn = 2 * np.pi * np.arange(segments) / segments
     circle = tube.diameter / 2 * (np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(along, first)))
     ends = []
-    for centre, plane in ((tube.start, planes[0]), (tube.end, planes[1])):
-        normal = along if plane is None else np.cross(ACROSS, plane)
+    for centre, normal in zip((tube.start, tube.end), normals, strict=True):
         ends.append(centre + circle - np.outer(circle @ normal / (along @ normal), along))
     rings = max(1, round(float(tube.length) / edge)) + 1
     share = np.linspace(0, 1, rings)[:, None, None]

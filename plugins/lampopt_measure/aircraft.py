@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 OFFSETS = np.linspace(-0.027, 0.027, 12)  # of the half span: sections about a station, many to even out rough meshes
 INNER = slice(5, 7)  # of these: where thickness and chord are taken
-OUTER = (0.03, 0.96)  # of the half span: where stations may lie
+OUTER = (0.035, 0.95)  # of the half span: where stations may lie
 ALONG = np.linspace(0.02, 0.97, 98)[1:-1]  # of the half span: where lost tails are looked for
 FROM_ABOVE = FrontalArea(forward="z", up="x")
 
@@ -168,7 +168,7 @@ class Stations:
         return edges(Halves.of(mesh, self.model), at.ravel(), follow=follow)
 
     def _values(self, found: Edges) -> tuple[Array, Array, dict[str, Array]]:
-        """The values (2n,), and how they change with the half span (2n,), noses, tails, thicknesses (2n, 4n, s)."""
+        """The values (2n,), and how they change with the half span (2n,), noses, tails, thicknesses (2n, 12n, s)."""
         count, sides = len(self._places), found.nose.shape[1]
         parts = (found.nose, found.tail, found.thickness)
         nose, tail, thickness = (part.reshape(count, len(OFFSETS), sides) for part in parts)
