@@ -13,8 +13,9 @@ import lampopt
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [p for p in (str(HERE.parent),) if p not in sys.path]
-common, grid, plate, body, fidelity = (
-    importlib.import_module(f"benchmarks.{name}") for name in ("common", "grid", "plate", "body", "fidelity")
+common, grid, plate, body, fidelity, measures = (
+    importlib.import_module(f"benchmarks.{name}")
+    for name in ("common", "grid", "plate", "body", "fidelity", "measures")
 )
 PITCH = 0.05
 
@@ -107,6 +108,38 @@ def test_kept_rows_survive_a_kill(tmp_path):
     assert kept.get("a", lambda: pytest.fail("made again")) == {"x": 1.0}
     kept.get("b", lambda: {"x": 2.0})
     assert set(common.Scores(path).rows) == set(kept.rows)
+
+
+def test_rows_are_kept_until_what_they_depend_on_alters(tmp_path, monkeypatch):
+    """By comments and by other modules it does not alter; by a module imported within a function it does."""
+    package = tmp_path / "measured_package"
+    package.mkdir()
+    text = {"__init__": "", "used": "LIMIT = 1\n", "other": "LIMIT = 2\n"}
+    text["first"] = "def f():\n    from .used import LIMIT\n\n    return LIMIT\n"
+    for name, code in text.items():
+        (package / f"{name}.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    first = importlib.import_module("measured_package.first")
+    before = common.source(first)
+    (package / "first.py").write_text('"""What it is."""\n' + text["first"].replace("LIMIT\n\n", "LIMIT  # why\n"))
+    (package / "other.py").write_text("LIMIT = 3\n")
+    assert common.source(first) == before
+    (package / "used.py").write_text("LIMIT = 3\n")
+    assert common.source(first) != before
+
+
+def test_a_straight_line_is_taken_out_of_what_is_measured():
+    """Left out one by one: the same as a fit without each, by numpy's own."""
+    rng = np.random.default_rng(0)
+    true = rng.uniform(1, 2, 30)
+    assert measures.calibrated(true, 3 + 0.5 * true) == pytest.approx(1)
+    values = 0.9 * true + 0.1 * rng.normal(size=30)
+    left_out = []
+    for i in range(30):
+        rest = np.arange(30) != i
+        left_out.append(np.polyval(np.polyfit(values[rest], true[rest], 1), values[i]))
+    wanted = 1 - ((true - left_out) ** 2).sum() / ((true - true.mean()) ** 2).sum()
+    assert measures.calibrated(true, values) == pytest.approx(wanted)
 
 
 def test_targets_are_judged():
