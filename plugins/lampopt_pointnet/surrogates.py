@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -23,10 +24,66 @@ if TYPE_CHECKING:
 LEAST = 10  # labels of a value: fewer say nothing by cross-validation
 NOISE = 1e-9  # of the largest feature: one that varies less does not differ
 APART = 1e3  # sizes of meshes that are learned from together, the largest to the smallest
+Patterns = list[tuple[Array, Array]]
+
+
+class _Surrogate(ABC):
+    """What both have in common: from meshes to features, and from those to a measure."""
+
+    def fit(
+        self, meshes: Sequence[Trimesh], values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
+    ) -> Learned:
+        """A measure learned from values (n, p), NaN where a mesh has none.
+
+        Raises
+        ------
+        EmptyMesh, MeasureError
+            If a mesh has no surface or a vertex is not finite; the mesh is named by its number.
+        InputError
+            If arrays' shapes disagree, a value is infinite, hardly ever known or always the same, the meshes do not
+            differ, or one is of another size by far.
+        """
+        given = checked(values, len(meshes), names, units, LEAST)
+        scale, clouds = surfaces(meshes)
+        features = np.stack([*map(self.pooled(seed), clouds)])
+        return self.fit_features(scale, features, given, names, units, seed=seed)
+
+    def fit_features(
+        self, scale: float, features: Array, values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
+    ) -> Learned:
+        """As `fit`, from features (n, F) by `pooled(seed)` of clouds in units of `scale`."""
+        values = checked(values, len(features), names, units, LEAST)
+        features, about = standardised(features, NOISE * float(np.abs(features).max()))
+        patterns = differing(features, values, names, LEAST)
+        wanted, spread = standardised(values)
+        regression, errors = self.regressed(features, wanted, patterns, seed)
+        return Learned(
+            names=tuple(names),
+            units=tuple(units),
+            scale=np.array(scale),
+            pooled=self.pooled(seed),
+            features=about,
+            regression=regression,
+            values=spread,
+            reach=reach(values, spread[1] * errors),
+            errors=errors,
+            regions=tuple(Region.of(features[rows], seed) for _, rows in patterns),
+        )
+
+    @abstractmethod
+    def pooled(self, seed: int) -> PointNet | Waves:
+        """What a cloud's features are made by."""
+
+    @abstractmethod
+    def regressed(self, features: Array, values: Array, patterns: Patterns, seed: int) -> tuple[Linear | Kernel, Array]:
+        """From standardised features (n, F) to standardised values (n, p), and errors (n, p) by cross-validation.
+
+        `patterns` are the columns that are known on the same rows, and those rows.
+        """
 
 
 @dataclass(frozen=True)
-class PointNetLasso:
+class PointNetLasso(_Surrogate):
     """LASSO on the embedding of a fixed, randomly initialised PointNet (paper, section 4 and appendix H).
 
     Parameters
@@ -53,57 +110,22 @@ class PointNetLasso:
         """One that learns in a second, for the conformance kit."""
         return PointNetLasso(neurons=64, folds=5)
 
-    def fit(
-        self, meshes: Sequence[Trimesh], values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
-    ) -> Learned:
-        """A measure learned from values (n, p), NaN where a mesh has none.
-
-        Raises
-        ------
-        EmptyMesh, MeasureError
-            If a mesh has no surface or a vertex is not finite; the mesh is named by its number.
-        InputError
-            If arrays' shapes disagree, a value is infinite, hardly ever known or always the same, the meshes do not
-            differ, or one is of another size by far.
-        """
-        given = checked(values, len(meshes), names, units, LEAST)
-        scale, clouds = surfaces(meshes)
-        features = np.stack([*map(self.pooled(seed), clouds)])
-        return self.fit_features(scale, features, given, names, units, seed=seed)
-
     def pooled(self, seed: int) -> PointNet:
         """What a cloud's features are made by."""
         return PointNet.drawn(self.neurons, seed)
 
-    def fit_features(
-        self, scale: float, features: Array, values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
-    ) -> Learned:
-        """As `fit`, from features (n, F) by `pooled(seed)` of clouds in units of `scale`."""
-        values = checked(values, len(features), names, units, LEAST)
-        features, about = standardised(features, NOISE * float(np.abs(features).max()))
-        patterns = differing(features, values, names, LEAST)
-        wanted, spread = standardised(values)
-        weights = np.zeros((features.shape[1], len(names)))
-        intercept, errors = np.zeros(len(names)), np.full(values.shape, np.nan)
+    def regressed(self, features: Array, values: Array, patterns: Patterns, seed: int) -> tuple[Linear, Array]:
+        """By LASSO, a penalty for each value."""
+        weights, intercept = np.zeros((features.shape[1], values.shape[1])), np.zeros(values.shape[1])
+        errors = np.full(values.shape, np.nan)
         for columns, rows in patterns:
-            found = lasso(features[rows], wanted[np.ix_(rows, columns)], self.folds, seed)
+            found = lasso(features[rows], values[np.ix_(rows, columns)], self.folds, seed)
             weights[:, columns], intercept[columns], errors[np.ix_(rows, columns)] = found
-        return Learned(
-            names=tuple(names),
-            units=tuple(units),
-            scale=np.array(scale),
-            pooled=self.pooled(seed),
-            features=about,
-            regression=Linear(weights, intercept),
-            values=spread,
-            reach=reach(values, spread[1] * errors),
-            errors=errors,
-            regions=tuple(Region.of(features[rows], seed) for _, rows in patterns),
-        )
+        return Linear(weights, intercept), errors
 
 
 @dataclass(frozen=True)
-class FourierRidge:
+class FourierRidge(_Surrogate):
     """Kernel ridge regression on the surface's Fourier transform over places and normals, at random waves.
 
     Parameters
@@ -127,44 +149,18 @@ class FourierRidge:
         """One that learns in a second, for the conformance kit."""
         return FourierRidge(waves=128)
 
-    def fit(
-        self, meshes: Sequence[Trimesh], values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
-    ) -> Learned:
-        """As `PointNetLasso.fit`."""
-        given = checked(values, len(meshes), names, units, LEAST)
-        scale, clouds = surfaces(meshes)
-        features = np.stack([*map(self.pooled(seed), clouds)])
-        return self.fit_features(scale, features, given, names, units, seed=seed)
-
     def pooled(self, seed: int) -> Waves:
         """What a cloud's features are made by."""
         return Waves.drawn(self.waves, seed)
 
-    def fit_features(
-        self, scale: float, features: Array, values: Array, names: Sequence[str], units: Sequence[str], *, seed: int
-    ) -> Learned:
-        """As `fit`, from features (n, F) by `pooled(seed)` of clouds in units of `scale`."""
-        values = checked(values, len(features), names, units, LEAST)
-        features, about = standardised(features, NOISE * float(np.abs(features).max()))
-        patterns = differing(features, values, names, LEAST)
-        wanted, spread = standardised(values)
-        sharpness, weights = np.ones(len(names)), np.zeros(values.shape)
+    def regressed(self, features: Array, values: Array, patterns: Patterns, seed: int) -> tuple[Kernel, Array]:
+        """By kernel ridge regression, a width and a ridge for each value."""
+        sharpness, weights = np.ones(values.shape[1]), np.zeros(values.shape)
         errors = np.full(values.shape, np.nan)
         for columns, rows in patterns:
             at = np.ix_(rows, columns)
-            sharpness[columns], weights[at], errors[at] = kernel_ridge(features[rows], wanted[at])
-        return Learned(
-            names=tuple(names),
-            units=tuple(units),
-            scale=np.array(scale),
-            pooled=self.pooled(seed),
-            features=about,
-            regression=Kernel(features, sharpness, weights),
-            values=spread,
-            reach=reach(values, spread[1] * errors),
-            errors=errors,
-            regions=tuple(Region.of(features[rows], seed) for _, rows in patterns),
-        )
+            sharpness[columns], weights[at], errors[at] = kernel_ridge(features[rows], values[at])
+        return Kernel(features, sharpness, weights), errors
 
 
 def surfaces(meshes: Sequence[Trimesh]) -> tuple[float, list[Cloud]]:
