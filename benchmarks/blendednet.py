@@ -1,5 +1,6 @@
 """BlendedNet's tables of the paper (7 and 8) on our own family `bwb`, measured directly, and by the paper's surrogate.
 
+    python -m benchmarks.blendednet --table exemplars         what can be read off the decoded exemplars themselves
     python -m benchmarks.blendednet --table interpolation     held-out designs in range: Chamfer distance, IoU, error
     python -m benchmarks.blendednet --table extrapolation     one and four parameters up to 50 % out of range: R², MMD
 
@@ -32,7 +33,7 @@ from threadpoolctl import threadpool_limits
 from trimesh import Trimesh
 
 import lampopt
-from lampopt.decode import field_to_mesh
+from lampopt.decode import decode, field_to_mesh
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.metrics import chamfer_distance, mean_absolute_error, minimum_matching_distance, r_squared, sample_surface
 from lampopt_families import bwb
@@ -136,6 +137,20 @@ class Trial:
         except (MeasureError, EmptyMesh) as error:
             return row | {"why": str(error)}
 
+    def decoded(self, i: int) -> Row:
+        """Exemplar `i` as its own weights give it, read directly."""
+
+        def make() -> Row:
+            decoder = self.bench.plugins.make("decoder", self.bank.decoder)
+            mesh = decode(self.bank, decoder, np.asarray(self.bank.weights[i]), resolution=self.bench.resolution)
+            try:
+                values = lampopt.measure("bwb", mesh, plugins=self.bench.plugins)
+            except MeasureError as error:
+                return {"measured": None, "why": str(error)}
+            return {"measured": [values[name] for name in bwb.NAMES], "why": ""}
+
+        return self.bench.scores.get(["blendednet exemplar", self.code, i], make)
+
     def all_made(self, name: str, targets: Sequence[dict[str, float]], centre: str, truth: bool = False) -> list[Row]:
         rows = []
         with self.bench.stage(f"{name}: {len(targets)} designs") as tell:
@@ -184,6 +199,24 @@ def cut(frame: lampopt.Frame, mesh: Trimesh, resolution: int) -> Trimesh:
         return distances
 
     return frame.to_user(field_to_mesh(field, np.array([[-1.0] * 3, [1.0] * 3]), resolution))
+
+
+def exemplars(trial: Trial) -> dict[str, Any]:
+    """How well the exemplars' own networks show their parameters: what no mix of them can be expected to better."""
+    space, parameters = Space.of(), np.array(trial.bank.parameters)
+    with trial.bench.stage(f"exemplars: {len(parameters)} decoded"):
+        rows = [trial.decoded(i) for i in range(len(parameters))]
+    found = np.array([_read(row["measured"], space) for row in rows])
+    about = {"designs": len(rows), "missing": sum(row["measured"] is None for row in rows)}
+    lines = []
+    for k, n in enumerate(bwb.NAMES):
+        off = float(np.sqrt(np.mean((found[:, k] - parameters[:, k]) ** 2)))
+        unit = list(bwb.SPACE.values())[k][2]
+        lines += [
+            line(f"R² of {n}", r_squared(parameters[:, k], found[:, k]), **about),
+            line(f"root mean square error of {n} [{unit}]", off, **about),
+        ]
+    return {"rows": lines, "notes": ["decoded from their own weights, measured by `bwb`"]}
 
 
 def interpolation(trial: Trial, count: int) -> dict[str, Any]:
@@ -301,9 +334,9 @@ def outcome(
     return [*lines, line(f"{name}, surrogate: outside", float(np.mean(outside)), designs=len(outside))]
 
 
-def main(given: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.blendednet", description=__doc__.partition("\n")[0])
-    parser.add_argument("--table", choices=("interpolation", "extrapolation", "all"), default="all")
+    parser.add_argument("--table", choices=("exemplars", "interpolation", "extrapolation", "all"), default="all")
     parser.add_argument("--held-out", type=int, default=HELD_OUT, help="designs in range, 2 or more")
     parser.add_argument("--trials", type=int, default=TRIALS, help="designs with four parameters out of range")
     parser.add_argument("--resolution", type=int, default=256, help="cells along the decoder's box")
@@ -312,7 +345,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where bank and designs are kept")
     parser.add_argument("--out", type=Path, default=None, help="folder for a JSON document")
     parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
-    args = parser.parse_args(given)
+    args = parser.parse_args(arguments)
     if args.held_out < 2 or args.trials < 2:
         parser.error("expected 2 designs or more: of one there is no R²")
     os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
@@ -322,10 +355,11 @@ def main(given: Sequence[str] | None = None) -> int:
     bench = Bench(args.cache, lampopt.Spec("sdf-mlp"), args.resolution, seed=args.seed)
     try:
         with threadpool_limits(args.threads, user_api="blas"):
-            exemplars = lampopt.exemplars("bwb", count=EXEMPLARS, plugins=bench.plugins)
-            bank = bench.bank("bwb-100", exemplars, bench.decoder)
+            given = lampopt.exemplars("bwb", count=EXEMPLARS, plugins=bench.plugins)
+            bank = bench.bank("bwb-100", given, bench.decoder)
             trial = Trial.of(bench, bank)
             make: dict[str, Callable[[], dict[str, Any]]] = {
+                "exemplars": lambda: exemplars(trial),
                 "interpolation": lambda: interpolation(trial, args.held_out),
                 "extrapolation": lambda: extrapolation(trial, args.trials),
             }

@@ -14,6 +14,7 @@ from lampopt.intersections import self_intersections
 from lampopt.protocols import Source
 from lampopt.testing import check_source
 from lampopt.topology import topology
+from lampopt_families import ahmed, bwb, car, plate
 from lampopt_families.frame import (
     FAMILY,
     FIXED,
@@ -447,3 +448,12 @@ def test_the_ranges_lie_within_the_table(table):
             assert tenth - 0.6 <= low < high <= ninetieth + 0.6, name
         else:
             assert (low, high) == pytest.approx((tenth, ninetieth), abs=0.6), name
+
+
+@pytest.mark.parametrize(
+    "family", [FAMILY, plate.family(), car.FAMILY, ahmed.FAMILY, bwb.family()], ids=lambda f: f.name
+)
+@pytest.mark.parametrize("given", [["1"] * 6, [1, [2, 3]], {"stack": 560}, np.full(6, 1j), None, [True] * 6])
+def test_parameters_of_any_family_are_real_numbers(family, given):
+    with pytest.raises(InputError, match=f"{family.name}: expected .*parameters"):
+        family.mesh(given)

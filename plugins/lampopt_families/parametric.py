@@ -36,6 +36,17 @@ def check_edge(name: str, edge: float, finest: float, coarsest: float) -> None:
         raise InputError(f"{name}: edge: expected {finest:g} to {coarsest:g} mm, got {edge!r:.100}")
 
 
+def real(name: str, parameters: Array) -> Array:
+    """`parameters` as floating point. Raises InputError for what are no real numbers, `name` being the source."""
+    try:
+        given = np.asarray(parameters)
+    except ValueError as error:
+        raise InputError(f"{name}: expected one row of parameters, got rows that differ in length") from error
+    if given.dtype.kind not in "iuf":
+        raise InputError(f"{name}: expected parameters that are real numbers, got {given.dtype}")
+    return given.astype(float)
+
+
 def whole(value: object) -> bool:
     """Whether `value` is a whole number; True and False are none."""
     return isinstance(value, int) and not isinstance(value, bool)
@@ -125,7 +136,7 @@ class Family:
 
     def parameters(self, given: Array) -> Array:
         """`given` as (d,) finite numbers. Raises InputError saying what they should be."""
-        values = np.asarray(given, float)
+        values = real(self.name, given)
         if values.shape != (len(self.space),):
             raise InputError(
                 f"{self.name}: expected {len(self.space)} parameters, {', '.join(self.names)}, got shape {values.shape}"

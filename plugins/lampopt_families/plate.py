@@ -11,7 +11,7 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array, Exemplars, Parameter
 
-from .parametric import Family
+from .parametric import Family, real
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -120,7 +120,7 @@ def plate_mesh(parameters: Array, *, segments: int = 128) -> Trimesh:
 
 
 def _checked(parameters: Array) -> tuple[float, ...]:
-    values = np.asarray(parameters, float)
+    values = real("plate", parameters)
     if values.shape != (len(NAMES),):
         raise InputError(f"plate: expected parameters ({len(NAMES)},) {', '.join(NAMES)}, got shape {values.shape}")
     wrong = [
