@@ -42,6 +42,7 @@ QUICK = 100, 50, 0, 50
 RECUT = {128: 40, 64: 40}  # of the test shapes, as marching cubes on so many cells give them back
 QUICK_RECUT = {64: 5}
 LEARNT, LEARNT_CELLS = 200, 64  # shapes of marching cubes that a second measure is learned from
+DOZENS = 60  # shapes that a third one is learned from
 Tell = Callable[[str], None]
 EDGE, CHORDWISE, SPANWISE = 60.0, 40, 60  # coarser meshes than by default: thousands are made
 
@@ -156,6 +157,10 @@ def judged(shapes: Shapes, sizes: tuple[int, int, int, int], recuts: Mapping[int
         row[name] = told(measure, held, seen_held[name], len(test))
         row[name]["r2_cross_validated"] = {n: round(v["r2"], 4) for n, v in measure.cross_validated.items()}
         row[name]["caught"] = round(float(np.mean([*map(measure.beyond, seen_beyond[name])])), 4)
+        some = slice(0, DOZENS)
+        few = surrogate.fit_features(shapes.scale, seen[name][some], train[some], names, [""] * len(names), seed=SEED)
+        row[name]["learned_from_few"] = {"train": len(train[some])} | told(few, held, seen_held[name], len(test))
+        row[name]["learned_from_few"]["caught"] = round(float(np.mean([*map(few.beyond, seen_beyond[name])])), 4)
         row[name]["recut"] = {
             str(cells): {"shapes": len(truth)} | told(measure, truth, seen_again[name], len(truth))
             for cells, (truth, seen_again, _) in again.items()
