@@ -78,11 +78,14 @@ def diffuser(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Nu
 
 @measure(simple_car, check_axes, angle="deg")
 def greenhouse(mesh: Trimesh, *, forward: str = "", up: str = "z") -> dict[str, Number]:
-    """Angle of the side windows to the vertical, half-way along the roof; positive where they lean inwards."""
+    """Angle of the side windows to the vertical, half-way along the roof; positive where they lean inwards.
+
+    Half-way to a hundredth of the length: the station moves with nose and tail, not with where a window is seen to end.
+    """
     body, _, top = _top(mesh, forward, up)
     front, rear = _glass(body, top, 1), _glass(body, top, -1)
     share = ((front.end[0] + rear.start[0]) / 2 - float(body.nose)) / float(body.length)
-    cut = section(body.shape, "x", body.station(share))
+    cut = section(body.shape, "x", body.station(round(share, 2)))
     length = float(body.length)
     angles: list[Quantity] = []
     for side, name in ((-1, "left"), (1, "right")):
