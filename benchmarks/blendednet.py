@@ -44,6 +44,7 @@ from lampopt_pointnet.surrogates import PointNetLasso
 
 from .common import Bench, Row, core, judged, key, line, share, source
 from .fidelity import plain, show, state
+from .truth import NARROWEST
 
 EXEMPLARS = 100
 HELD_OUT = 200
@@ -61,7 +62,6 @@ PAPER = {
     "single": "MMD 0.035, MAE 0.305, R² 0.868",
     "multi": "MMD 0.037, MAE 0.353, R² 0.782",
 }
-NARROWEST = 25.0  # mm: a panel below is none that could be measured
 
 
 @dataclass(frozen=True)

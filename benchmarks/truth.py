@@ -14,6 +14,7 @@ from lampopt_families import ahmed, bwb, car, plate
 from lampopt_families.parametric import Family
 
 Values = dict[str, float]
+NARROWEST = 25.0  # mm: a bwb with a narrower panel, 2.5 % of its centre chord, has no planform to be read off its edges
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Known:
     def at(self, parameters: NDArray[np.float64], mesh: Trimesh) -> Values:
         given = dict(zip(self.family.names, parameters.tolist(), strict=True))
         found = {address: given[name] for name, address in self.family.measured.items()}
+        if self.family.name == "bwb" and min(given["B1"], given["B2"], given["B3"]) < NARROWEST:
+            found = {}
         return found | self.more(given, mesh)
 
 

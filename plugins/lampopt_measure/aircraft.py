@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 OFFSETS = np.linspace(-0.027, 0.027, 12)  # of the half span: sections about a station, many to even out rough meshes
-INNER = slice(5, 7)  # of these: where thickness and chord are taken
+INNER = slice(4, 8)  # of these: where thickness and chord are taken
 OUTER = (0.035, 0.95)  # of the half span: where stations may lie
 ALONG = np.linspace(0.02, 0.97, 98)[1:-1]  # of the half span: where lost tails are looked for
 FROM_ABOVE = FrontalArea(forward="z", up="x")
@@ -113,7 +113,7 @@ class Stations:
     """Leading-edge sweep and thickness-to-chord of a wing at stations of its half span.
 
     The sweep is that of a line through the noses of twelve sections about the station, within 2.7 % of the half span,
-    positive to the rear. The thickness is the largest extent along z over the chord, the mean of the two nearest ones.
+    positive to the rear. The thickness is the largest extent along z over the chord, the mean of the four nearest ones.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ class Bwb:
 
     Widths B1, B2, B3 of the panels from the plane of symmetry, chords C1 to C4 at their ends, sweeps S1, S2, S3 of the
     leading edge. Sections have to have round noses and thin tails: both are found from the thickness, so that marching
-    cubes may cut the last millimetres off. A panel narrower than a few cells cannot be told.
+    cubes may cut the last millimetres off. A panel narrower than 1 % of the half span is refused.
 
     Parameters
     ----------

@@ -30,6 +30,7 @@ RAMP = 0.1  # of a panel: over which a section comes to count in full from there
 FEWEST = 4  # sections that a line is fitted to
 STRAY = 6.0  # deviations, by the median, from which a section is left out
 SMALL = 1e-3  # of the half span: nearer to the line no section is a stray one, and a kink is sought by least squares
+NARROW = 0.01  # of the half span: the least width of a panel
 TINY = 1e-6  # of the half span: what keeps the equations of a hopeless pair of kinks solvable
 SETTLED = 1e-14  # of the half span: change of the kinks at which they are found
 ROUNDS = 100  # of finding lines between the kinks, and kinks where lines meet
@@ -65,6 +66,11 @@ def planform(halves: Halves, *, derivative: bool = False) -> tuple[Array, Array]
     span = torch.tensor(halves.span, dtype=torch.float64, requires_grad=derivative)
     values = _panels(torch.from_numpy(at), chosen, span, torch.tensor(kinks, dtype=torch.float64))
     plain = np.array([float(value.detach()) for value in values])
+    if (narrowest := plain[:3].min()) < NARROW * halves.span:
+        raise MeasureError(
+            f"bwb: expected panels of at least {NARROW:.0%} of the half span, {NARROW * halves.span:.6g}, got one of "
+            f"{narrowest:.6g}: narrower ones cannot be told from a single kink"
+        )
     if not derivative:
         return plain, np.zeros((0, 0, 3))
     by = [torch.autograd.grad(value, (chosen, span), retain_graph=True, allow_unused=True) for value in values]
