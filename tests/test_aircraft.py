@@ -164,6 +164,19 @@ def test_stations_that_are_none(text):
 # bwb
 
 
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        [150, 4, 450, 700, 230, 75, 50, 50, 32],
+        # the third panel lies beyond where sections are taken; a kink's rounding was taken for the second one
+        [173.3, 255.7, 11.6, 727.2, 174.4, 87.1, 62.7, 39.8, 43.5],
+    ],
+)
+def test_a_panel_too_narrow_to_tell_is_refused(parameters):
+    with pytest.raises(MeasureError, match=r"bwb: expected panels of at least 1% of the half span"):
+        Bwb()(bwb_mesh(np.array(parameters)))
+
+
 @pytest.mark.parametrize("factor", [1, 2])
 def test_parameters_are_read_off_the_true_mesh(factor):
     """Lengths to 0.1 mm of 1000, angles to 0.05°, in range and out of it."""
