@@ -234,6 +234,7 @@ def interpolation(trial: Trial, count: int) -> dict[str, Any]:
         line("Chamfer distance of two samples of the true shape [box²]", mean["floor"], **about),
         line("root of the Chamfer distance [box]", float(np.mean([np.sqrt(row["cd"]) for row in there])), **about),
         line("distance of the surfaces [mm]", mean["length"], **about),
+        line("median of the distances [mm]", float(np.median([row["length"] for row in there])), **about),
         line("IoU", mean["iou"], **about),
         line("accepted", share([r for r in rows if r["accepted"]], rows), **about),
     ]

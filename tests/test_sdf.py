@@ -299,7 +299,8 @@ def test_a_seed_per_exemplar_draws_apart(start, fitted):
     weights, _ = own.fit(start, [BALL, BRICK], seed=0)
     assert (np.abs(weights - fitted[0]).max(1) > 1e-3).all()
     twice, _ = own.fit(start, [BALL, BALL], seed=0)
-    np.testing.assert_array_equal(twice[0], twice[1])  # the seed belongs to the mesh, not to its place
+    # The seed belongs to the mesh, not to its place; on some processors BLAS rounds by where in memory a matrix lies.
+    np.testing.assert_allclose(twice[0], twice[1], atol=1e-5)
 
 
 def test_a_finished_exemplar_stops_and_leaves_the_others(start):
