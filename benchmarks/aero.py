@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import sys
 import time
 from collections.abc import Sequence
@@ -23,7 +20,7 @@ from lampopt_families.bwb import bwb_mesh, family
 from lampopt_families.bwb_aero import COEFFICIENTS, METHODS, Condition, coefficients
 
 from .common import Row
-from .fidelity import plain, show, state
+from .document import put, show, stamped
 
 DESIGNS = 100
 FACTORS = (1.0, 2.0, 3.0)
@@ -112,13 +109,8 @@ def main(given: Sequence[str] | None = None) -> int:
             tables[method] = coefficient_rows(method, args.seed)
             show(console, f"bwb: {METHODS[method]}", {"rows": tables[method], "notes": []})
     lift = {method: np.array([row["mean cl"] for row in tables[method]]) for method in METHODS}
-    document = {
-        "benchmark": "aero",
-        "seed": args.seed,
-        "lampopt": version("lampopt"),
-        "aerosandbox": version("aerosandbox"),
-        "commit": state(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    document = stamped("aero", seed=args.seed, aerosandbox=version("aerosandbox"))
+    document |= {
         "notes": [
             "coefficients: median (least to largest) over the designs; reference is planform area and mean chord",
             "the vortex lattice's drag is the induced one alone",
@@ -129,9 +121,7 @@ def main(given: Sequence[str] | None = None) -> int:
         "tables": tables,
         "seconds": round(time.perf_counter() - began, 1),
     }
-    args.out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
-    (args.out / "aero.json").write_text(text + "\n", encoding="utf-8")
+    put(document, args.out / "aero.json")
     return 0
 
 

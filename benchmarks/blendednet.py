@@ -15,17 +15,13 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import json
 import os
-import platform
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -33,7 +29,7 @@ from threadpoolctl import threadpool_limits
 from trimesh import Trimesh
 
 import lampopt
-from lampopt.decode import decode, field_to_mesh
+from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.metrics import chamfer_distance, mean_absolute_error, minimum_matching_distance, r_squared, sample_surface
 from lampopt_families import bwb
@@ -42,8 +38,10 @@ from lampopt_pointnet.learned import Learned
 from lampopt_pointnet.pooled import PointNet
 from lampopt_pointnet.surrogates import PointNetLasso
 
-from .common import Bench, Row, core, judged, key, line, share, source
-from .fidelity import plain, show, state
+from . import recut
+from .common import Bench, Row, core, judged, key, line, parsed, share, source
+from .document import put, show, stamped
+from .recut import recut_in_box
 from .truth import NARROWEST
 
 EXEMPLARS = 100
@@ -170,7 +168,7 @@ def surrogate(bench: Bench, bank: lampopt.Bank) -> tuple[Learned, str]:
     low, high = np.array(bwb.LOW), np.array(bwb.HIGH)
     parameters = np.random.default_rng([bench.seed, LEARNT]).uniform(low, high, (LEARNT, 9))
     scale = float(bwb.bwb_mesh((low + high) / 2).extents.max()) / 2
-    code = [source(Cut), source(PointNet), source(bwb.BwbSource), core("decode"), inspect.getsource(cut)]
+    code = [source(Cut), source(PointNet), source(bwb.BwbSource), core("decode"), parsed(Path(recut.__file__ or ""))]
     frame = [bank.frame.scale, bank.frame.centre.tolist()]
     seen = key([code, frame, bench.resolution, kind.neurons, bench.seed, LEARNT, scale])
     path = bench.cache / f"blendednet-features-{seen}.npy"
@@ -178,7 +176,9 @@ def surrogate(bench: Bench, bank: lampopt.Bank) -> tuple[Learned, str]:
     pooled = kind.pooled(bench.seed)
     with bench.stage(f"surrogate: {LEARNT} shapes") as tell:
         for row in parameters[len(features) :]:
-            features.append(pooled(Cut.of(cut(bank.frame, bwb.bwb_mesh(row), bench.resolution), scale).cloud()))
+            features.append(
+                pooled(Cut.of(recut_in_box(bwb.bwb_mesh(row), bank.frame, bench.resolution), scale).cloud())
+            )
             tell(len(features) / LEARNT)
             if len(features) % 50 == 0 or len(features) == LEARNT:
                 partial = path.with_suffix(".partial.npy")
@@ -186,19 +186,6 @@ def surrogate(bench: Bench, bank: lampopt.Bank) -> tuple[Learned, str]:
                 partial.replace(path)
         units = [unit for _, _, unit in bwb.SPACE.values()]
         return kind.fit_features(scale, np.array(features), parameters, bwb.NAMES, units, seed=bench.seed), seen
-
-
-def cut(frame: lampopt.Frame, mesh: Trimesh, resolution: int) -> Trimesh:
-    """A true shape as a perfect decoder of signed distances would give it."""
-    boxed = frame.to_box(mesh)
-    vertices, faces = np.asarray(boxed.vertices), np.asarray(boxed.faces, np.int64)
-
-    def field(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        kind = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
-        distances: NDArray[np.float64] = igl.signed_distance(points, vertices, faces, kind)[0]
-        return distances
-
-    return frame.to_user(field_to_mesh(field, np.array([[-1.0] * 3, [1.0] * 3]), resolution))
 
 
 def exemplars(trial: Trial) -> dict[str, Any]:
@@ -368,26 +355,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         bench.console.print(f"[bold red]error[/bold red] {error}", highlight=False)
         return 2
-    document = {
-        "benchmark": "blendednet",
-        "decoder": {"name": bank.decoder.name, "options": dict(bank.decoder.options)},
-        "fit_error_mm": {"mean": float(bank.fit_error.mean()), "worst": float(bank.fit_error.max())},
-        "resolution": args.resolution,
+    decoder = {"name": bank.decoder.name, "options": dict(bank.decoder.options)}
+    document = stamped("blendednet", decoder=decoder, seed=args.seed, resolution=args.resolution, threads=args.threads)
+    error = bank.fit_error / bank.frame.scale
+    document |= {
+        "fit_error_mm": {"mean": float(error.mean()), "worst": float(error.max())},
         "surrogate": {"r2_cross_validated": {n: v["r2"] for n, v in trial.learned.cross_validated.items()}},
-        "seed": args.seed,
-        "lampopt": version("lampopt"),
-        "commit": state(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
         "tables": tables,
         "seconds": bench.seconds,
     }
-    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "blendednet.json").write_text(text + "\n", encoding="utf-8")
-    if args.json:
-        sys.stdout.write(text + "\n")
-    else:
+    put(document, args.out and args.out / "blendednet.json", out=args.json)
+    if not args.json:
         for name, table in tables.items():
             show(Console(width=160), f"blendednet: {name}", table)
     return 0

@@ -24,8 +24,8 @@ import lampopt
 from lampopt.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE = ("check", "decode", "loop", "measured", "metrics", "mix", "mixes", "solve", "task", "topology", "units")  # a
-# judged design depends on them
+# What a judged design depends on.
+CORE = ("check", "decode", "loop", "measured", "metrics", "mix", "mixes", "solve", "task", "topology", "units")
 ROWS = 1  # raise it when kept rows come to hold something else
 Row = dict[str, Any]
 

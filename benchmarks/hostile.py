@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import resource
 import select
 import subprocess
@@ -21,7 +20,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -289,26 +287,14 @@ def main(given: Sequence[str] | None = None) -> int:
             told += turn(kind, first, min(first + TURN, count), args.seed)
             talk.print(f"[dim]{kind}: {len(told)} of {count}, {sum(map(bool, map(wrong, told)))} failed[/dim]")
         tables[kind] = summary(told)
-    from .fidelity import state
+    from .document import put, stamped  # not in the workers: what they import counts as theirs
 
-    document = {
-        "benchmark": "hostile",
-        "seed": args.seed,
-        "allowed": {"seconds": SECONDS, "bytes_beyond_the_file": ROOM},
-        "lampopt": version("lampopt"),
-        "commit": state(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "tables": tables,
-        "seconds": round(time.perf_counter() - began, 1),
-    }
-    text = json.dumps(document, indent=1, ensure_ascii=False)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "hostile.json").write_text(text + "\n", encoding="utf-8")
-    if args.json:
-        sys.stdout.write(text + "\n")
-    else:
-        Console().print_json(text)
+    allowed = {"seconds": SECONDS, "bytes_beyond_the_file": ROOM}
+    seconds = round(time.perf_counter() - began, 1)
+    document = stamped("hostile", seed=args.seed, allowed=allowed) | {"tables": tables, "seconds": seconds}
+    put(document, args.out and args.out / "hostile.json", out=args.json)
+    if not args.json:
+        Console().print_json(data=document)
     return int(any(table["failed"] for table in tables.values()))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from lampopt.topology import topology
 from lampopt.types import Array
 
 from .common import ROOT, Row
-from .fidelity import plain, show
+from .document import put, show
 
 GAP = 1 / 60  # of the length
 RAYS = 100  # from a point on the surface, to see how much of the outside it sees
@@ -92,9 +91,8 @@ def main(given: Sequence[str] | None = None) -> int:
             row["repairs"] = "; ".join(report.health[0].repairs) if report.health else ""
             rows.append(row | (wrapped(mesh, args.seed) if path.parent.name == "raw" else {}))
     table = {"rows": rows, "notes": [f"distances in parts of the length, gap {GAP:.4f} of it"]}
-    if args.json:
-        sys.stdout.write(json.dumps(plain(table), indent=1) + "\n")
-    else:
+    put(table, None, out=args.json)
+    if not args.json:
         cars = [row for row in rows if "faces" in row]
         show(Console(width=160), "wraps", table | {"rows": cars})
         show(Console(width=160), "parts", {"rows": [row for row in rows if "faces" not in row], "notes": []})

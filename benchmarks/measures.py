@@ -9,16 +9,13 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import json
 import os
-import platform
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +33,7 @@ from lampopt.metrics import mean_absolute_error, r_squared
 from lampopt.protocols import Gradient, Measure
 
 from .common import Bench, Row, core, key, line, parsed, source
-from .fidelity import plain, show, state
+from .document import put, show, stamped
 from .truth import Known, families
 
 FACTORS = {1.0: 0.999, 2.0: 0.99}  # f → least R²
@@ -278,26 +275,15 @@ def main(given: Sequence[str] | None = None) -> int:
     }[args.table]
     with threadpool_limits(args.threads, user_api="blas"):
         table = make()
-    document = {
-        "benchmark": "measures",
-        "table": args.table,
-        "seed": args.seed,
-        "lampopt": version("lampopt"),
-        "commit": state(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "met": [sum(row["met"] is wanted for row in table["rows"]) for wanted in (True, False)],
-        **table,
-        "seconds": bench.seconds,
-    }
-    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        if args.table == "accuracy":
-            (args.out / "measures-accuracy.md").write_text(markdown(pivot(table)), encoding="utf-8")
-        (args.out / f"measures-{args.table}.json").write_text(text + "\n", encoding="utf-8")
+    met = [sum(row["met"] is wanted for row in table["rows"]) for wanted in (True, False)]
+    document = stamped("measures", table=args.table, seed=args.seed, threads=args.threads)
+    document |= {"met": met, **table, "seconds": bench.seconds}
+    put(document, args.out and args.out / f"measures-{args.table}.json", out=args.json)
+    if args.out and args.table == "accuracy":
+        (args.out / "measures-accuracy.md").write_text(markdown(pivot(table)), encoding="utf-8")
     if args.json:
-        sys.stdout.write(text + "\n")
-    elif args.table == "accuracy":
+        return 0
+    if args.table == "accuracy":
         first, *rest = pivot(table)
         out = Table(*first, caption="\n".join(table["notes"]))
         for cells in rest:

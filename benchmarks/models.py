@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
-import platform
 import re
 import sys
 import time
@@ -31,7 +29,7 @@ from lampopt.protocols import Regression
 from lampopt.types import Array
 
 from .common import ROOT, Row, line
-from .fidelity import plain, show, state
+from .document import put, show, stamped
 
 SINGLE = ("linear", "quadratic", "gaussian-process", "boosted-trees")
 STYLES = {"E": "estateback", "F": "fastback", "N": "notchback"}
@@ -254,20 +252,8 @@ def main(given: Sequence[str] | None = None) -> int:
         return 2
     for title, found in tables.items():
         show(talk, title, found)
-    document = {
-        "benchmark": "models",
-        "seed": options.seed,
-        "threads": options.threads,
-        "lampopt": version("lampopt"),
-        "scikit-learn": version("scikit-learn"),
-        "commit": state(),
-        "machine": platform.machine(),
-        "tables": tables,
-    }
-    text = json.dumps(plain(document), indent=1, allow_nan=False) + "\n"
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(text, encoding="utf-8")
-    sys.stdout.write(text)
+    settings = {"seed": options.seed, "threads": options.threads, "scikit-learn": version("scikit-learn")}
+    put(stamped("models", **settings) | {"tables": tables}, options.out, out=True)
     return 0 if all(row["met"] is not False for found in tables.values() for row in found["rows"]) else 1
 
 

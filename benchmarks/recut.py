@@ -9,6 +9,9 @@ from scipy import ndimage
 from skimage.measure import marching_cubes
 from trimesh import Trimesh
 
+from lampopt import Frame
+from lampopt.decode import field_to_mesh
+
 MARGIN = 2.37  # cells around the shape: no plane of it may meet a plane of nodes, where nothing is cut
 BAND = 2.5  # cells from a node beside the surface to both ends of any edge that the surface cuts near it
 
@@ -33,6 +36,14 @@ def recut(mesh: Trimesh, cells: int = 128) -> Trimesh:
     values[~near] = (10 * pitch.max() * signs)[parts[~near] - 1]
     points, triangles, _, _ = marching_cubes(values, 0.0, spacing=tuple(pitch))
     return Trimesh(points + origin, triangles, process=False)
+
+
+def recut_in_box(mesh: Trimesh, frame: Frame, resolution: int) -> Trimesh:
+    """A closed `mesh` as a perfect decoder of distances gives it: on `resolution` cells along a bank's box."""
+    boxed = frame.to_box(mesh)
+    vertices, faces = np.asarray(boxed.vertices, float), np.asarray(boxed.faces, np.int64)
+    box = np.array([[-1.0] * 3, [1.0] * 3])
+    return frame.to_user(field_to_mesh(lambda points: _distances(points, vertices, faces), box, resolution))
 
 
 def _near(

@@ -7,14 +7,11 @@ Designs far out of range, of which the truth is known, are scored by the checks 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
@@ -33,7 +30,7 @@ from lampopt.types import Array
 from . import plate
 from .body import Body, find_judge
 from .common import Bench, Row, counts, key, line
-from .fidelity import plain, show, state
+from .document import put, show, stamped
 
 TOLERANCE = 0.005  # of the surface [m]
 MISS = 0.05  # of a parameter, where it can be measured [range]
@@ -299,25 +296,9 @@ def main(given: Sequence[str] | None = None) -> int:
     if not args.json:
         for name, table in tables.items():
             show(Console(), name, table)
-    document = {
-        "benchmark": "safety",
-        "decoder": args.decoder,
-        "seed": args.seed,
-        "resolution": args.resolution,
-        "threads": args.threads,
-        "lampopt": version("lampopt"),
-        "commit": state(),
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "notes": notes,
-        "tables": tables,
-        "seconds": bench.seconds,
-    }
-    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / f"safety-{args.table}.json").write_text(text + "\n", encoding="utf-8")
-    if args.json:
-        sys.stdout.write(text + "\n")
+    settings = {"decoder": args.decoder, "seed": args.seed, "resolution": args.resolution, "threads": args.threads}
+    document = stamped("safety", **settings) | {"notes": notes, "tables": tables, "seconds": bench.seconds}
+    put(document, args.out and args.out / f"safety-{args.table}.json", out=args.json)
     return 0
 
 

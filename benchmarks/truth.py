@@ -22,17 +22,17 @@ class Known:
     """A family and what is true of its designs: address → value, from parameters and the true mesh.
 
     `own` are addresses whose truth is the true mesh's own value: what is measured on that mesh says nothing of them.
+    `shown` says of parameters whether the shape shows them; where it does not, only `more` is true of it.
     """
 
     family: Family
     more: Callable[[Values, Trimesh], Values]
     own: frozenset[str] = frozenset()
+    shown: Callable[[Values], bool] = lambda _: True
 
     def at(self, parameters: NDArray[np.float64], mesh: Trimesh) -> Values:
         given = dict(zip(self.family.names, parameters.tolist(), strict=True))
-        found = {address: given[name] for name, address in self.family.measured.items()}
-        if self.family.name == "bwb" and min(given["B1"], given["B2"], given["B3"]) < NARROWEST:
-            found = {}
+        found = {address: given[name] for name, address in self.family.measured.items()} if self.shown(given) else {}
         return found | self.more(given, mesh)
 
 
@@ -116,6 +116,11 @@ def half_volume(at: bwb.Stations) -> float:
     return 2 * np.sqrt(3) / 5 * total
 
 
+def wide(p: Values) -> bool:
+    """Whether all three panels of a bwb are wide enough to be told from a single kink."""
+    return min(p["B1"], p["B2"], p["B3"]) >= NARROWEST
+
+
 def of_bwb(p: Values, mesh: Trimesh) -> Values:
     at = bwb.stations(np.array(list(p.values())))
     span = 2 * float(at.y[-1])
@@ -143,5 +148,5 @@ def families() -> Mapping[str, Known]:
         "plate": Known(plate.family(), of_plate),
         "car": Known(car.FAMILY, of_car, frozenset({"wetted-area.wetted_area", "volume.volume"})),
         "ahmed": Known(ahmed.FAMILY, of_ahmed),
-        "bwb": Known(bwb.family(), of_bwb),
+        "bwb": Known(bwb.family(), of_bwb, shown=wide),
     }

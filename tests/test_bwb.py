@@ -1,7 +1,5 @@
 """The blended wing body: true meshes in and out of range, coefficients by AeroSandbox against lifting-line theory."""
 
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -164,8 +162,6 @@ def test_source():
     assert exemplars.unit == "mm"
     assert exemplars.measured == {name: f"bwb.{name}" for name in NAMES}
     assert exemplars.labels.shape == (5, 0)
-    again = pickle.loads(pickle.dumps(exemplars.mesh_at))
-    np.testing.assert_array_equal(again(MIDDLE).vertices, exemplars.mesh_at(MIDDLE).vertices)
     assert len(BwbSource(count=19, design="ends")()) == 19
 
 

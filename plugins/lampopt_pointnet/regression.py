@@ -16,7 +16,7 @@ from lampopt.types import Array
 from .conformal import folds
 
 PENALTIES = np.geomspace(1, 1e-4, 40)  # of the one that leaves no feature in
-KNOTS = 8  # steps of a path for each feature, at most; most paths take about one
+KNOTS = 8  # steps of a path for each feature, at most; a path takes about half as many as there are features
 WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the kernel, in median distances
 _ALONE = Lock()  # the filters of warnings are shared by all threads
 RIDGES = 10.0 ** np.arange(-8, 1)
