@@ -146,6 +146,27 @@ def test_stations_of_the_family():
     np.testing.assert_allclose(values[1::2], THICKNESS[3], rtol=3e-3)
 
 
+def test_thickness_where_it_tapers():
+    """Half-way along the second panel, from 0.17 to 0.16 of the chord: as much of it before the station as behind."""
+    half_span = MIDDLE[:3].sum()
+    place = round((MIDDLE[0] + MIDDLE[1] / 2) / half_span, 6)
+    _, thickness = Stations(stations=f"{place}")(bwb_mesh(MIDDLE))
+    assert thickness == pytest.approx((THICKNESS[1] + THICKNESS[2]) / 2, abs=5e-5)
+
+
+def test_stations_on_marching_cubes(cut):
+    """The steps of 64 cells even out over the sections, beside the plane of symmetry too."""
+    parameters, mesh = cut
+    at = stations(parameters)
+    first, *places = np.array([0.035, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9])
+    assert (at.y[2] / at.y[3] < min(places) - 0.03) and at.y[1] / at.y[3] > first + 0.03
+    values = Stations(stations=",".join(f"{place:g}" for place in (first, *places)))(mesh)
+    assert values[0] == pytest.approx(parameters[6], abs=0.15)
+    off = values[2::2] - parameters[8]
+    assert np.sqrt(np.mean(off**2)) < 1.2  # 5.3 from sections a third as far apart
+    np.testing.assert_allclose(values[3::2], THICKNESS[3], rtol=0.05)
+
+
 def test_stations_of_a_rectangle():
     """A box has no round nose: its sections' own ends count."""
     np.testing.assert_allclose(Stations(stations="0.5")(rectangle()), [0, 0.12], atol=1e-9)

@@ -106,6 +106,23 @@ def test_gradients_agree_with_central_differences(car, name):
     np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6 * size)
 
 
+@pytest.mark.parametrize("name", [name for name in ALL if name not in ("frontal-area", "vehicle", "wheels")])
+def test_gradients_of_panels_on_a_rough_car(car, name):
+    """Where a panel is not flat its angle hangs on where it is cut: the cut has to move as the derivative says."""
+    measure, draw = made(name), np.random.default_rng(5)
+    size, step = float(np.max(car[0].extents)), 1e-8
+    vertices = np.asarray(car[0].vertices) + 1e-6 * size * draw.normal(size=car[0].vertices.shape)
+    moves = [size * np.sin(vertices / size @ draw.normal(0, 2.5, (3, 3)) + draw.random(3)) for _ in range(3)]
+    rough = trimesh.Trimesh(vertices, car[0].faces, process=False)
+    found = np.array([(measure.gradient(rough)[0] * move).sum() for move in moves])
+    ends = [
+        [measure(trimesh.Trimesh(vertices + s * step * m, rough.faces, process=False))[0] for s in (-1, 1)]
+        for m in moves
+    ]
+    wanted = np.diff(ends, axis=1)[:, 0] / (2 * step)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4 * np.abs(wanted).max())
+
+
 def test_a_mirror_is_no_width(car):
     mesh, truth = car
     mirrors = [trimesh.creation.box((150, 220, 150)).apply_translation((1500, s * 960, 950)) for s in (-1, 1)]
