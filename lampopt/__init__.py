@@ -2,6 +2,7 @@
 
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
+from lampopt.compare import compare
 from lampopt.exemplars import exemplars
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
@@ -10,12 +11,15 @@ from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
 from lampopt.loop import design, measure, report, results, run, sweep
 from lampopt.members import add_exemplars, remove_exemplars
+from lampopt.recommend import Compared, Comparison
 from lampopt.study import Reduce, Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
 __all__ = [
     "Bank",
     "Check",
+    "Compared",
+    "Comparison",
     "Design",
     "Exemplars",
     "Frame",
@@ -29,6 +33,7 @@ __all__ = [
     "add_exemplars",
     "build_bank",
     "calibrate",
+    "compare",
     "design",
     "exemplars",
     "extrapolation_volume",

@@ -10,32 +10,30 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt import lamp
 from lampopt.bank import decoder_of, hashed, uncalibrated
-from lampopt.check import Limits, alpha_checks, field_checks, mesh_checks
+from lampopt.check import Limits
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError
+from lampopt.holdout import asked, chosen, designed, evidence, off, outermost
 from lampopt.intake import intake
-from lampopt.metrics import surface_distance
-from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Progress, Solver
 from lampopt.reading import path_of
-from lampopt.solve import columns, pose, solve
-from lampopt.types import Array, Bank, Calibration, Check, Design, Exemplars, Spec
+from lampopt.solve import pose, solve
+from lampopt.types import Array, Bank, Calibration, Check, Exemplars, Spec
 from lampopt.units import number, whole
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-SHARE = 1 / 3  # of the exemplars are held out: the outermost
 TRIALS = 64  # designs at least, as far as there are different ones
 TELLING = 0.75  # least area under the ROC curve of a check that decides
 BACKSTOP = 2.0  # times what was seen, for one that does not
@@ -189,15 +187,9 @@ def _evidence(
     for number_, (held, among) in enumerate(trials):
         if progress:
             progress(number_ / len(trials), f"{bank.names[held]} made by {len(among)} others")
-        posed = pose(bank, _asked(bank, held), among=among)
-        mix = solve(posed, solving)
-        weights = mixed_weights(bank, mix.alpha)
-        mesh = _decoded(bank, decoder, weights, resolution)
-        design = Design(_asked(bank, held), mix, predicted(bank, mix.alpha), weights, partial(_itself, mesh))
-        checks = [*alpha_checks(posed, mix, limits), *field_checks(bank, decoder, design, limits)]
-        checks += mesh_checks(bank, decoder, design, resolution, limits, plugins)
-        rows.append(_as_limited(checks, limits))
-        errors.append(np.nan if mesh is None else surface_distance(mesh, truth(held), seed=seed))
+        posed, design = designed(bank, decoder, solving, _asked(bank, held), resolution, among)
+        rows.append(_as_limited(evidence(bank, decoder, posed, design, resolution, limits, plugins), limits))
+        errors.append(np.nan if design.mesh is None else off(design.mesh, truth(held), seed))
     if progress:
         progress(1.0, f"{len(trials)} designs")
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -208,10 +200,6 @@ def _evidence(
         np.array(errors),
         np.array([held for held, _ in trials]),
     )
-
-
-def _itself(mesh: Trimesh | None) -> Trimesh | None:
-    return mesh
 
 
 def _as_limited(checks: Sequence[Check], limits: Limits) -> dict[str, float]:
@@ -226,13 +214,12 @@ def _as_limited(checks: Sequence[Check], limits: Limits) -> dict[str, float]:
 
 def _asked(bank: Bank, held: int) -> dict[str, float]:
     """The parameters of an exemplar, as far as a mix can move them."""
-    known = columns(bank)
-    return {q.name: float(known[q.name].values[held]) for q in bank.space if q.spread > 0}
+    return asked(bank, bank.parameters[held])
 
 
 def _trials(bank: Bank, solver: Solver, met: float, rng: np.random.Generator) -> Iterator[tuple[int, Array]]:
     """Which exemplar is held out, and by which others it is made: first by the inner ones, then by any that can."""
-    held = _outermost(bank)
+    held = outermost(bank.parameters)
     if not len(held):
         raise InputError("calibration: the exemplars of this bank do not differ in any parameter")
     inner = np.setdiff1d(np.arange(len(bank)), held)
@@ -262,27 +249,12 @@ def _choices(bank: Bank, held: int, inner: Array, rng: np.random.Generator) -> I
         yield np.sort(rng.choice(others, rng.integers(least, len(others) + 1), replace=False))
 
 
-def _outermost(bank: Bank) -> Array:
-    """The third of the exemplars farthest from the middle of the range, and those just as far."""
-    moved = [(q, values) for q, values in zip(bank.space, bank.parameters.T, strict=True) if q.spread > 0]
-    away = sum((((values - (q.low or 0.0)) / q.spread - 0.5) ** 2 for q, values in moved), np.zeros(len(bank)))
-    least = np.sort(away)[-max(1, round(SHARE * len(bank)))]
-    return np.flatnonzero(away >= least * (1 - 1e-9)) if least > 0 else np.empty(0, int)
-
-
 def _reaches(bank: Bank, held: int, among: Array, solver: Solver, met: float) -> bool:
     """Whether `among` meet the parameters of `held` to `met` [half of the bank's range], as a design would have to."""
     if not len(among):
         return False
     mix = solve(pose(bank, _asked(bank, held), among=among), solver)
     return bool(np.abs(mix.residual).max(initial=0.0) <= met)
-
-
-def _decoded(bank: Bank, decoder: Decoder, weights: Array, resolution: int) -> Trimesh | None:
-    try:
-        return decode(bank, decoder, weights, resolution=resolution)
-    except EmptyMesh:
-        return None
 
 
 def _truth(bank: Bank, exemplars: Exemplars | None, decoder: Decoder, resolution: int) -> Callable[[int], Trimesh]:
@@ -316,35 +288,9 @@ def _same(bank: Bank, exemplars: Exemplars) -> Exemplars:
         exemplars.parameters[rows], bank.parameters
     ):
         raise InputError(f"{what}, got other parameters")
-    chosen = replace(
-        exemplars,
-        parameters=exemplars.parameters[rows],
-        labels=exemplars.labels[rows],
-        names=bank.names,
-        meshes=_Chosen(exemplars.meshes, rows),
-    )
-    report = intake(chosen, accept="all", fellows=False, crossings=False)
+    report = intake(chosen(exemplars, rows), accept="all", fellows=False, crossings=False)
     report.refuse()
     changed = {"added", "removed"} & set(bank.provenance)  # then the hash is not that of all meshes together
     if not changed and bank.provenance.get("meshes") not in (None, hashed(report.facts.hashes)):
         raise InputError(f"{what}, got other meshes under their names")
     return report.exemplars
-
-
-class _Chosen(Sequence["Trimesh"]):
-    """Some of `meshes`, loaded when they are looked at."""
-
-    def __init__(self, meshes: Sequence[Trimesh], rows: Sequence[int]) -> None:
-        self._meshes, self._rows = meshes, rows
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @overload
-    def __getitem__(self, index: int) -> Trimesh: ...
-    @overload
-    def __getitem__(self, index: slice) -> _Chosen: ...
-    def __getitem__(self, index: int | slice) -> Trimesh | _Chosen:
-        if isinstance(index, slice):
-            return _Chosen(self._meshes, self._rows[index])
-        return self._meshes[self._rows[index]]

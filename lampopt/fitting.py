@@ -113,7 +113,7 @@ class Fitting:
                 chosen = meshes[first : first + batch]
                 what = f"exemplars {first + 1} to {first + len(chosen)} of {len(meshes)}"
                 log.info("fitting %s", what)
-                tell = _part(self.tell, (1 + number) / (1 + len(starts)), 1 / (1 + len(starts)), what)
+                tell = share_of(self.tell, (1 + number) / (1 + len(starts)), 1 / (1 + len(starts)), what)
                 with self._said_when_stopped(first, len(meshes)):
                     answer = self._answer(shared, chosen, tell)
                     done = _fitted(self.called, answer, len(chosen), weights[0].shape[1] if weights else None)
@@ -170,7 +170,9 @@ def probe_values(decoder: Decoder, called: str, shared: Shared, weights: Array, 
     return np.stack(values)
 
 
-def _part(tell: Progress, start: float, share: float, what: str) -> Callable[..., None]:
+def share_of(tell: Progress, start: float, share: float, what: str) -> Callable[..., None]:
+    """What `tell` is told of a part of the work, `what`, that takes `share` of it from `start` on."""
+
     def progress(done: float, message: str = "", /) -> None:
         tell(start + share * done, f"{what}: {message}" if message else what)
 

@@ -12,9 +12,10 @@ from sklearn.metrics import roc_auc_score
 
 import lampopt
 from lampopt import Spec, calibrate, design, store_bank
-from lampopt.calibrate import _outermost, _passing, _told_apart, limits_from
+from lampopt.calibrate import _passing, _told_apart, limits_from
 from lampopt.check import DEFAULTS, Limits
 from lampopt.errors import InputError
+from lampopt.holdout import outermost
 from lampopt.metrics import surface_distance
 from lampopt.testing import shapes
 from lampopt.types import Calibration
@@ -245,7 +246,7 @@ def test_the_outermost_third_and_ties():
     bank = small.bank(plugins=PLUGINS)
     at = 2 * (bank.parameters - bank.parameters.min(0)) / np.ptp(bank.parameters, axis=0) - 1
     away = np.linalg.norm(at, axis=1)
-    held = _outermost(bank)
+    held = outermost(bank.parameters)
     assert len(held) >= round(len(bank) / 3)
     assert away[held].min() > np.delete(away, held).max()
 

@@ -15,6 +15,7 @@ import click
 
 from lampopt.cli.answer import CRASHED, INTERRUPTED, VERBOSE, WRONG, Group, logged_to_stderr, refuse
 from lampopt.cli.bank import bank
+from lampopt.cli.compare import compare
 from lampopt.cli.designs import make, run, sweep
 from lampopt.cli.intake import intake, wrap
 from lampopt.cli.learn import model, surrogate
@@ -52,7 +53,7 @@ for command in (
 ):
     cli.add_command(command)
 
-for command in (calibrate, volume):
+for command in (calibrate, compare, volume):
     bank.add_command(command)
 
 

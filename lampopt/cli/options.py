@@ -68,11 +68,17 @@ def chosen_measures(plugins: Plugins, given: Sequence[str]) -> dict[str, Spec]:
     """
     found: dict[str, Spec] = {}
     for text in given:
-        name, _, options = text.partition(":")
-        if name in found:
-            raise InputError(f"--measure: {name} is given twice: leave one out")
-        found[name] = spec(plugins, "measure", name, "--measure", options.split(",") if options else ())
+        made = with_options(plugins, "measure", "--measure", text)
+        if made.name in found:
+            raise InputError(f"--measure: {made.name} is given twice: leave one out")
+        found[made.name] = made
     return found
+
+
+def with_options(plugins: Plugins, kind: str, option: str, text: str) -> Spec:
+    """The Spec behind one NAME or NAME:OPTION=VALUE,... text. Raises PluginError and InputError as `spec`."""
+    name, _, options = text.partition(":")
+    return spec(plugins, kind, name, option, options.split(",") if options else ())
 
 
 def can_be_written(option: str, path: Path) -> None:

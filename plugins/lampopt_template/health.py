@@ -1,0 +1,68 @@
+"""Whether a moved template is still a sound surface: what folds, flips, crosses itself, or is stretched to slivers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lampopt.intersections import self_intersections
+from lampopt.types import Array, Check
+from lampopt_template.surface import Surface
+from lampopt_template.template import Template
+
+WORST = 1.0  # percent of triangles that are looked at when their shape is judged
+LEAST = 0.05  # volume that a place keeps at least, in parts of what it was: near 0 space folds
+FORMED = 0.4  # quality of triangles that is left at least, in parts of the exemplars'
+
+
+def least_quality(vertices: Array, faces: Array) -> float:
+    """How well formed the worst hundredth of the triangles is at best: 1 equilateral, 0 without area.
+
+    A triangle's quality is 4 √3 area / Σ edge² (Bank and Smith 1997).
+    """
+    corners = vertices[faces]
+    squares = ((corners - np.roll(corners, 1, 1)) ** 2).sum((1, 2))
+    quality = 4 * np.sqrt(3) * Surface(vertices, faces).areas / np.where(squares > 0, squares, 1.0)
+    return float(np.percentile(quality, WORST))
+
+
+def gradients(template: Template, weights: Array, points: Array) -> Array:
+    """(M, 3, 3) derivatives ∂x_i/∂X_j of where the lattice moves `points` (M, 3) to."""
+    coefficients, _ = template.parts(weights)
+    parts = [template.space.rows(points, derivative=axis) @ coefficients for axis in range(3)]
+    return np.asarray(np.eye(3) + np.stack(parts, -1))
+
+
+def health_checks(template: Template, weights: Array, vertices: Array) -> list[Check]:
+    """The evidence about a design's `vertices` (V, 3) [box]."""
+    faces = template.surface.faces
+    centres = template.surface.vertices[faces].mean(1)
+    motion = gradients(template, weights, centres)
+    volume = np.linalg.det(motion)
+    # Under a motion of space a normal n turns to det(F) F⁻ᵀ n, the cofactors of F applied to it.
+    turned = np.einsum("fij,fj->fi", _cofactors(motion), template.surface.normals)
+    moved = Surface(vertices, faces)
+    flipped = int(((turned * moved.normals).sum(1) <= 0).sum())
+    crossing = len(self_intersections(template.mesh(vertices), most=1000))
+    quality = least_quality(vertices, faces) / max(template.quality, 1e-12)
+    worst = vertices[faces[int(volume.argmin())]].mean(0)
+    note = "least volume ratio of the motion, at " + ", ".join(f"{x:.3f}" for x in worst) + " [box]"
+    return [
+        Check(
+            "jacobian",
+            float(volume.min()),
+            ">=",
+            LEAST,
+            "",
+            "mesh",
+            note,
+        ),
+        Check("flipped", float(flipped), "=", 0.0, "faces", "mesh", "turned over against the motion"),
+        Check("crossing", float(crossing), "=", 0.0, "pairs", "mesh", "faces that pass through each other"),
+        Check("quality", quality, ">=", FORMED, "", "mesh", "of the worst hundredth of triangles, by the exemplars'"),
+    ]
+
+
+def _cofactors(matrices: Array) -> Array:
+    """(M, 3, 3) the cofactors of (M, 3, 3)."""
+    a, b, c = matrices.transpose(1, 0, 2)
+    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 1)
