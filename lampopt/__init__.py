@@ -11,7 +11,9 @@ from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
 from lampopt.loop import design, measure, report, results, run, sweep
 from lampopt.members import add_exemplars, remove_exemplars
+from lampopt.motion import Sensitivities, sensitivities, template_of, warp
 from lampopt.recommend import Compared, Comparison
+from lampopt.residuals import Residual, residuals
 from lampopt.study import Reduce, Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
@@ -27,7 +29,9 @@ __all__ = [
     "Parameter",
     "Problem",
     "Reduce",
+    "Residual",
     "Result",
+    "Sensitivities",
     "Spec",
     "Study",
     "add_exemplars",
@@ -47,9 +51,13 @@ __all__ = [
     "measure",
     "remove_exemplars",
     "report",
+    "residuals",
     "results",
     "run",
+    "sensitivities",
     "store_bank",
     "sweep",
+    "template_of",
+    "warp",
     "wrap",
 ]

@@ -34,7 +34,7 @@ LAYERS = (
     {"decode"},
     {"check"},
     {"holdout", "recommend"},
-    {"calibrate", "compare", "extrapolation"},
+    {"calibrate", "compare", "extrapolation", "residuals"},
     {"database", "rows"},
     {"written"},
     {"record"},
@@ -44,6 +44,7 @@ LAYERS = (
     {"task"},
     {"workers"},
     {"reporting"},
+    {"motion"},
     {"loop"},
     {"lampopt", "cli", "testing"},
 )

@@ -20,6 +20,7 @@ from lampopt.cli.designs import make, run, sweep
 from lampopt.cli.intake import intake, wrap
 from lampopt.cli.learn import model, surrogate
 from lampopt.cli.measure import measure
+from lampopt.cli.moved import residuals, sensitivities
 from lampopt.cli.plugins import check_plugin, plugins, sources
 from lampopt.cli.report import report
 from lampopt.cli.trust import calibrate, volume
@@ -49,11 +50,12 @@ for command in (
     run,
     sweep,
     report,
+    sensitivities,
     check_plugin,
 ):
     cli.add_command(command)
 
-for command in (calibrate, compare, volume):
+for command in (calibrate, compare, residuals, volume):
     bank.add_command(command)
 
 

@@ -6,17 +6,27 @@ import base64
 import io
 from dataclasses import dataclass
 from math import cos, radians, sin
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.reporting.shapes import FAR, SKY, Drawn, first_hits, sky_seen
+from lampopt.errors import InputError
+from lampopt.reading import why
+from lampopt.reporting.shapes import FAR, SKY, Drawn, drawn, first_hits, sky_seen
 from lampopt.types import Array
+from lampopt.units import whole
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 STEEL = np.array([0.66, 0.71, 0.76])  # of a plain shape
 BELOW, LEVEL, ABOVE = np.array([[33, 102, 172], [204, 204, 200], [178, 24, 43]]) / 255  # inside, on, outside the other
 KEY, FILL = np.array([-0.42, 0.62, 0.66]), np.array([0.8, 0.05, 0.6])  # lights, in the camera's frame
 SMOOTHING = 3  # rays along each side of a pixel at an edge
 SHADOW = 0.45  # darkest
+FACES = 30_000  # of a mesh that is drawn by itself
+MARGIN = 1.08  # of a picture around the shape
 GROUND = 32  # points along the ground where the shadow is worked out
 
 
@@ -82,6 +92,38 @@ def pictures(
         Image.fromarray(image).save(kept, "WEBP", quality=82, method=4)
         found.append("data:image/webp;base64," + base64.b64encode(kept.getvalue()).decode())
     return tuple(found)
+
+
+def saved(mesh: Trimesh, reference: Trimesh, path: Path, *, width: int) -> None:
+    """Write three views of `mesh`, coloured by its distance to `reference` (PNG): red outside of it, blue inside.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written, or `width` is no number of pixels.
+    """
+    from PIL import Image
+
+    width = whole(width, "width", 64, 10_000)
+    shape = drawn(mesh, faces=FACES, reference=reference)
+    assert shape.distance is not None
+    spread = float(np.abs(shape.distance).max()) or 1.0
+    shown = views(int(shape.extents[1] > shape.extents[0]))[:3]
+    boxes = [reach(shape, view) for view in shown]
+    pixel = MARGIN * max(float(box[0]) for box in boxes) / width
+    strips = []
+    for view, box in zip(shown, boxes, strict=True):
+        size = (width, max(round(MARGIN * float(box[1]) / pixel), 1))
+        strips.append(Image.fromarray(_images(shape, view, pixel / shape.half, size, spread)[1]))
+    sheet = Image.new("RGB", (width, sum(strip.height for strip in strips)), "white")
+    top = 0
+    for strip in strips:
+        sheet.paste(strip, (0, top), strip)
+        top += strip.height
+    try:
+        sheet.save(path, "PNG")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {why(error)}") from error
 
 
 def colours(distance: Array, spread: float) -> Array:

@@ -1,0 +1,189 @@
+"""How points move when a design does: space along with it, its vertices by each parameter.
+
+For decoders that keep one connectivity and move a template (`Displace`), so that a solver's mesh, a load or a name of a
+boundary goes along with the design.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lampopt.bank import decoder_of
+from lampopt.decode import decode
+from lampopt.errors import InputError, PluginError
+from lampopt.mix import mixed_weights
+from lampopt.plugins import Plugins, returned
+from lampopt.protocols import Decoder, Displace, Solver
+from lampopt.reading import path_of
+from lampopt.solve import columns, pose, solve
+from lampopt.types import Array, Bank, Design, Spec
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+STEP = 0.1  # of a parameter's range, to either side: exact where vertices are linear in weights
+ROUNDS = 200  # of the search for where a point comes from
+FOUND = 1e-9  # how near it has to come [box]
+
+
+def warp(
+    bank: Bank, design: Design, points: Array, *, start: Design | None = None, plugins: Plugins | None = None
+) -> Array:
+    """Points that move along with a design: a volume mesh around it, a finer tessellation of it.
+
+    Parameters
+    ----------
+    bank
+        Of a decoder that can displace space, such as `mesh-template`.
+    design
+        Where they go.
+    points
+        (M, 3) [user's unit], in the space about `start`.
+    start
+        The design that they belong to; by default the decoder's template (weights of 0, see `template_of`).
+
+    Returns
+    -------
+    Array
+        (M, 3) moved points [user's unit].
+
+    Raises
+    ------
+    PluginError
+        If the bank's decoder cannot displace space.
+    InputError
+        If `points` are none, or `start` folds space so that it cannot be told where they come from.
+    """
+    found: Decoder = decoder_of(bank, plugins or Plugins.load().report())
+    if not isinstance(found, Displace):
+        raise PluginError(
+            f"decoder {bank.decoder.name!r}: cannot displace space, which warp needs: build the bank with "
+            "'mesh-template'"
+        )
+    moving: Displace = found
+    given = np.asarray(points, float)
+    if given.ndim != 2 or given.shape[1] != 3 or not np.isfinite(given).all():
+        raise InputError(f"points: expected finite numbers of shape (M, 3), got shape {given.shape}")
+
+    def displaced(weights: Array, at: Array) -> Array:
+        answer = moving.displace(bank.shared, weights, at)
+        return returned(f"decoder {bank.decoder.name!r}: displace", answer, (len(at), 3))
+
+    at = (given - bank.frame.centre) * bank.frame.scale
+    if start is not None:
+        at = _origin(lambda x: displaced(start.weights, x), at)
+    return np.asarray(displaced(design.weights, at) / bank.frame.scale + bank.frame.centre)
+
+
+def template_of(bank: Bank, *, plugins: Plugins | None = None) -> Trimesh:
+    """The mesh that a template decoder moves [user's unit], at rest: what `warp` starts from."""
+    decoder = decoder_of(bank, plugins or Plugins.load().report())
+    if not isinstance(decoder, Displace):
+        raise PluginError(f"decoder {bank.decoder.name!r}: has no template to be displaced")
+    return decode(bank, decoder, np.zeros(bank.weights.shape[1], np.float32))
+
+
+def _origin(moved: Callable[[Array], Array], wanted: Array) -> Array:
+    """Which points are moved to `wanted` (M, 3)."""
+    at = wanted.copy()
+    for _ in range(ROUNDS):
+        off = wanted - moved(at)
+        if float(np.abs(off).max(initial=0.0)) <= FOUND:
+            return at
+        at += off
+    raise InputError(
+        f"start: for {int((np.abs(off).max(1) > FOUND).sum())} of {len(wanted)} points it cannot be told where its "
+        "motion brings them from: it folds or turns space there; begin from a design nearer to the template"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """How a design's vertices move by each parameter, all others held.
+
+    `names` and `units` of the k parameters; `mesh` of the design [user's unit]; `motion` (k, V, 3) [user's unit by the
+    parameter's unit]; `steps` (k,) how far each parameter was moved to either side; `ends` the meshes there.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mesh: Trimesh
+    motion: Array
+    steps: Array
+
+    def of(self, name: str) -> Array:
+        """(V, 3) motion by one parameter."""
+        if name not in self.names:
+            raise InputError(f"{name!r}: expected one of {', '.join(self.names)}")
+        return np.asarray(self.motion[self.names.index(name)])
+
+    def picture(self, name: str, path: str | Path, *, width: int = 900) -> None:
+        """Write a picture of the design, red where it grows with the parameter, blue where it shrinks (PNG)."""
+        from lampopt.reporting.render import saved
+
+        step = float(self.steps[self.names.index(name)])
+        low, high = (self._moved(sign * step * self.of(name)) for sign in (-1, 1))
+        saved(high, low, path_of(path, "path"), width=width)
+
+    def _moved(self, by: Array) -> Trimesh:
+        mesh = self.mesh.copy()
+        mesh.vertices = np.asarray(mesh.vertices) + by
+        return mesh
+
+
+def sensitivities(
+    bank: Bank,
+    design: Design,
+    names: Sequence[str] | None = None,
+    *,
+    solver: str | Spec = "kkt",
+    plugins: Plugins | None = None,
+) -> Sensitivities:
+    """How the vertices of `design` move by each parameter: d(vertices)/d(parameter), the other parameters held.
+
+    Parameters
+    ----------
+    names
+        Parameters; by default all that differ over the bank.
+    solver
+        What chooses the mixes on either side.
+
+    Raises
+    ------
+    PluginError
+        If the decoder makes another triangulation for each design.
+    InputError
+        If a name is no parameter that differs over the bank.
+    """
+    plugins = plugins or Plugins.load().report()
+    decoder, chosen = decoder_of(bank, plugins), columns(bank)
+    free = {q.name: q for q in bank.space if q.spread > 0}
+    wanted = tuple(free) if names is None else tuple(names)
+    if unknown := [name for name in wanted if name not in free]:
+        raise InputError(f"names: {', '.join(map(repr, unknown))}: expected some of {', '.join(free)}")
+    at = {q.name: float(v) for q, v in zip(bank.space, design.predicted, strict=True) if q.name in free}
+    solving: Solver = plugins.make("solver", solver)
+    mesh = decode(bank, decoder, design.weights)
+
+    def vertices(target: dict[str, float]) -> Array:
+        posed = pose(bank, target)
+        made = decode(bank, decoder, mixed_weights(bank, solve(posed, solving).alpha))
+        if not np.array_equal(made.faces, mesh.faces):
+            raise PluginError(
+                f"decoder {bank.decoder.name!r}: makes another triangulation for each design, so that vertices do not "
+                "move: build the bank with 'mesh-template'"
+            )
+        return np.asarray(made.vertices, float)
+
+    motion, steps = [], []
+    for name in wanted:
+        step = STEP * float(np.ptp(chosen[name].values))
+        ahead, behind = (vertices({**at, name: at[name] + sign * step}) for sign in (1, -1))
+        motion.append((ahead - behind) / (2 * step))
+        steps.append(step)
+    return Sensitivities(wanted, tuple(free[name].unit for name in wanted), mesh, np.array(motion), np.array(steps))
