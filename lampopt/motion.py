@@ -74,10 +74,9 @@ def warp(
         answer = moving.displace(bank.shared, weights, at)
         return returned(f"decoder {bank.decoder.name!r}: displace", answer, (len(at), 3))
 
-    at = (given - bank.frame.centre) * bank.frame.scale
-    if start is not None:
-        at = _origin(lambda x: displaced(start.weights, x), at)
-    return np.asarray(displaced(design.weights, at) / bank.frame.scale + bank.frame.centre)
+    here = (given - bank.frame.centre) * bank.frame.scale
+    rest = here if start is None else _origin(lambda x: displaced(start.weights, x), here)
+    return np.asarray(given + (displaced(design.weights, rest) - here) / bank.frame.scale)  # what stays, stays exactly
 
 
 def template_of(bank: Bank, *, plugins: Plugins | None = None) -> Trimesh:
