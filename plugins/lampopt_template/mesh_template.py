@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 STIFFEST = 1.0  # what registration begins with: hardly more than an affine map
-STEP = 30.0  # each stiffness over the next one
+STEP = 100.0  # each stiffness over the next one
 MARGIN = 0.05  # of the lattice around the template [template's size]
 PILOTS = 6  # exemplars that are registered to find where the lattice wants to be finer
 FADE = 0.5  # over what distance from the lattice a motion of space dies away [template's size]
