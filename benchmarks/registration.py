@@ -2,7 +2,8 @@
 
 Exemplars are the judge's Hybrid, morphed; the template is a mesh of its own. The rivals (extra `bench`) bring the same
 template onto the same exemplar: trimesh's non-rigid ICP (Amberg et al. 2007) and pycpd's coherent point drift
-(Myronenko and Song 2010; points alone, as many as fit into memory). Every residual is measured alike, as the distance between the surfaces.
+(Myronenko and Song 2010; points alone, as many as fit into memory). Every residual is measured alike, as the distance
+between the surfaces.
 """
 
 from __future__ import annotations

@@ -21,13 +21,8 @@ from lampopt.testing import decoder_checks, shapes
 from lampopt.topology import topology
 from lampopt.types import Exemplars, Parameter
 from lampopt_families.plate import plate_mesh
-from lampopt_template.detail import Detail
-from lampopt_template.health import LEAST, gradients, health_checks
-from lampopt_template.lattice import Lattice, Refined
 from lampopt_template.mesh_template import MeshTemplate
-from lampopt_template.registration import Registration
-from lampopt_template.surface import Surface
-from lampopt_template.template import Template, mirrored_half
+from lampopt_template.template import Template
 
 TINY = MeshTemplate(faces=1000, cell=0.2, tolerance=0.0)
 AS_IS = replace(TINY, remesh=False)  # the mean's own triangles
@@ -63,96 +58,6 @@ def off(vertices, radii, centre=(0, 0, 0)):
     return apart.mean(), apart.max()
 
 
-# Registration.
-
-
-@pytest.fixture(scope="module")
-def ball():
-    return Template.of(AS_IS.prepare([EGG], mean=BALL, seed=0), detailed=False)
-
-
-@pytest.fixture(scope="module")
-def registration(ball):
-    return Registration(ball, (ball.size * np.geomspace(1, 2e-7, 6)).tolist())
-
-
-def moved(registration, target, **options):
-    return registration.template.surface.vertices + registration.rows @ registration.onto(target, **options)
-
-
-def other_ellipsoid(radii, centre=(0, 0, 0)):
-    """An ellipsoid whose triangles run along meridians."""
-    mesh = trimesh.creation.uv_sphere(1.0, count=(32, 48))
-    mesh.apply_transform(np.diag([*radii, 1.0]))
-    mesh.apply_translation(centre)
-    return mesh
-
-
-@pytest.mark.parametrize(
-    ("radii", "centre"),
-    [(FLAT, (0, 0, 0)), (FLAT, (0.1, -0.15, 0.1)), (1.3 * FLAT, (0, 0, 0)), ([0.3, 0.6, 0.5], (0, 0.1, 0))],
-    ids=["another", "beside", "30 % larger", "its longest axis another"],
-)
-def test_an_ellipsoid_onto_one_triangulated_otherwise(registration, radii, centre):
-    mean, largest = off(moved(registration, Surface.of(other_ellipsoid(radii, centre))), radii, centre)
-    print(mean, largest)
-    assert mean < 0.001
-    assert largest < 0.01
-
-
-def test_an_ellipsoid_turned(registration):
-    turn = trimesh.transformations.rotation_matrix(np.radians(20), [0, 0, 1])
-    target = other_ellipsoid(TALL)
-    target.apply_transform(turn)
-    mean, largest = off(moved(registration, Surface.of(target)) @ turn[:3, :3], TALL)
-    print(mean, largest)
-    assert mean < 0.001
-    assert largest < 0.01
-
-
-def test_a_target_with_a_hole_and_faces_twice(registration):
-    dirty = other_ellipsoid(FLAT)
-    centres = dirty.triangles_center
-    hole = np.linalg.norm(centres - [0.45, 0.2, 0.07], axis=1) < 0.06
-    assert 5 < hole.sum() < 100
-    faces = np.concatenate([dirty.faces[~hole], dirty.faces[::50]])
-    mean, largest = off(moved(registration, Surface(np.asarray(dirty.vertices), faces)), FLAT)
-    print(hole.sum(), mean, largest)
-    assert mean < 0.001
-    assert largest < 0.01
-
-
-def test_what_is_there_already_stays(registration):
-    np.testing.assert_allclose(moved(registration, registration.template.surface), BALL.vertices, atol=1e-6)
-
-
-def bent(vertices, by):
-    return vertices + by * vertices[:, :1] ** 2 * [0, 0, 1]
-
-
-def test_a_bent_ellipsoid_in_any_unit(registration, ball):
-    target = Surface.of(other_ellipsoid(FLAT))
-    target = Surface(bent(target.vertices, 0.3), target.faces)
-    found = moved(registration, target)
-    mean, largest = off(bent(found, -0.3), FLAT)
-    print(mean, largest)
-    assert mean < 0.001
-    assert largest < 0.01
-    lattice = ball.space.coarse
-    grown = Surface(1000 * ball.surface.vertices, ball.surface.faces)
-    space = Refined(Lattice(1000 * lattice.low, 1000 * lattice.cell, lattice.spans), ball.space.chosen)
-    large = Registration(replace(ball, surface=grown, space=space), [1000 * s for s in registration.stiffness])
-    again = moved(large, Surface(1000 * target.vertices, target.faces)) / 1000
-    np.testing.assert_allclose(again, found, atol=2e-4)  # where two places are as near, rounding chooses
-
-
-def test_stiffer_follows_less(registration, ball):
-    target = Surface.of(other_ellipsoid(FLAT))
-    target = Surface(bent(target.vertices, 0.3), target.faces)
-    stiff = moved(Registration(ball, [ball.size]), target)
-    assert off(bent(stiff, -0.3), FLAT)[0] > 0.01
-
-
 # A bank of plates.
 
 MIDDLE, HALF = np.array([2.5, 0.2, 0.0]), np.array([0.5, 0.05, 0.1])
@@ -176,7 +81,6 @@ def bank():
 
 
 def test_plates_are_fitted(bank):
-    print(bank.fit_error)
     assert bank.fit_error.max() < 1e-4  # [box]: 0.25 mm of 2.5 m
 
 
@@ -188,9 +92,8 @@ def test_designs_at_twice_the_range_are_the_true_plates(bank, signs):
     decoder = decoder_of(bank, Plugins.load())
     made, true = decode(bank, decoder, mixed_weights(bank, alpha)), plate(MIDDLE + steps * HALF)
     np.testing.assert_allclose(alpha @ bank.parameters, MIDDLE + steps * HALF)
-    print(surface_distance(made, true), np.abs(made.extents - true.extents), made.volume / true.volume - 1)
-    assert surface_distance(made, true) < 1e-3  # [m]
-    np.testing.assert_allclose(made.extents, true.extents, atol=5e-3)
+    assert surface_distance(made, true) < 3e-4  # [m]
+    np.testing.assert_allclose(made.extents, true.extents, atol=2e-3)
     assert topology(made) == topology(true)
     assert all(
         check.passed
@@ -232,8 +135,7 @@ def fitted(shared):
 def test_ellipsoids_are_met_and_the_stated_error_is_the_error(shared, fitted):
     for weights, told, mesh in zip(*fitted, [EGG, POT], strict=True):
         apart = surface_distance(TINY.decode(shared, weights, resolution=1), mesh)
-        print(apart, told)
-        assert apart < 0.0005
+        assert apart < 0.0008
         assert told == pytest.approx(apart, rel=0.1)
 
 
@@ -251,6 +153,19 @@ def test_same_seed_same_bits_whatever_is_fitted_beside(shared, fitted):
     assert told == pytest.approx([1 / 3, 2 / 3, 1])
 
 
+def test_meshes_inside_out_are_turned():
+    inward, mean = EGG.copy(), BALL.copy()
+    inward.invert()
+    mean.invert()
+    shared = AS_IS.prepare([EGG], mean=BALL, seed=0)
+    for name, array in AS_IS.prepare([inward], mean=mean, seed=0).items():
+        assert np.array_equal(array, shared[name]) or name in ("faces", "quality")
+    weights, error = AS_IS.fit(shared, [EGG, inward], seed=0)
+    assert error.max() < 0.0005
+    for row in weights:
+        assert AS_IS.decode(shared, row, resolution=1).volume == pytest.approx(EGG.volume, rel=0.01)
+
+
 def test_an_open_exemplar_is_met_where_it_is(shared, caplog):
     sheet = trimesh.Trimesh(EGG.vertices, EGG.faces[EGG.triangles_center[:, 0] < 0.55], process=False)
     sheet.metadata["name"] = "car_017"
@@ -258,7 +173,6 @@ def test_an_open_exemplar_is_met_where_it_is(shared, caplog):
         weights, _ = TINY.fit(shared, [sheet], seed=0)
     assert "car_017: is open" in caplog.text
     vertices = TINY.decode(shared, weights[0], resolution=1).vertices
-    print(off(vertices[vertices[:, 0] < 0.5], FLAT))
     assert off(vertices[vertices[:, 0] < 0.5], FLAT)[0] < 0.001
 
 
@@ -284,8 +198,8 @@ def bumpy(mesh, height=0.012, waves=24):
 def variant(request):
     decoder = VARIANTS[request.param]
     shared = decoder.prepare([EGG], mean=BALL, seed=0)
-    askew = bumpy(POT)
-    askew.vertices = askew.vertices @ [[1, 0.1, 0.1], [0, 1, 0.1], [0, 0, 1]] + 0.1 * askew.vertices**2
+    askew = bumpy(POT, waves=12)
+    askew.vertices = askew.vertices @ [[1, 0.02, 0.02], [0, 1, 0.02], [0, 0, 1]] + 0.02 * askew.vertices**2
     return decoder, shared, decoder.fit(shared, [askew], seed=0)[0][0].astype(float)
 
 
@@ -314,9 +228,7 @@ def test_displace_is_decode_at_the_template_and_nothing_far_away(variant):
     far *= 3 / np.linalg.norm(far, axis=1, keepdims=True)
     np.testing.assert_array_equal(decoder.displace(shared, weights, far), far)
     ray = np.linspace(0.5, 3, 2000)[:, None] * [1.0, 0.2, -0.1]
-    print("max c", np.abs(weights).max())
     steps = np.linalg.norm(np.diff(decoder.displace(shared, weights, ray) - ray, axis=0), axis=1)
-    print(steps.max())
     assert steps.max() < 1e-3  # it dies away without a jump
 
 
@@ -328,7 +240,7 @@ def test_symmetric_designs_are_their_own_mirror_images(variant):
         assert len(twins) == len(shared["plane"]) == 0
         return
     half = len(mesh.vertices) - len(twins)
-    assert 0.9 < len(twins) / half < 1
+    assert 0.8 < len(twins) / half < 1
     image = np.arange(half)
     image[twins] = half + np.arange(len(twins))
     image = np.concatenate([image, twins])
@@ -348,114 +260,38 @@ def test_symmetric_designs_are_their_own_mirror_images(variant):
     assert topology(mesh) == topology(EGG)
 
 
-def test_half_a_shape_and_its_image():
-    mesh = trimesh.creation.torus(0.4, 0.15)
-    mesh.apply_translation([0.3, 0.1, 0.0])
-    vertices, faces, twins, plane = mirrored_half(np.array(mesh.vertices), np.array(mesh.faces), 0, 0.01)
-    made = trimesh.Trimesh(vertices, faces, process=False)
-    assert plane == pytest.approx([0, 0.3])
-    assert topology(made) == topology(mesh)
-    assert made.volume == pytest.approx(mesh.volume, rel=1e-3)
-    assert surface_distance(made, mesh) < 1e-3
-    assert (vertices[: len(vertices) - len(twins), 0] >= 0.3).all()
-
-
-def test_detail_alone_reaches_bumps_along_the_normals():
-    ball, rough = shapes.ellipsoid(TALL, divisions=4), bumpy(shapes.ellipsoid(TALL, divisions=5))
-    along = Detail(Surface.of(ball), 0.02).onto(Surface.of(rough), np.array(ball.vertices))
-    made = trimesh.Trimesh(ball.vertices + along[:, None] * ball.vertex_normals, ball.faces, process=False)
-    print(surface_distance(made, rough), surface_distance(ball, rough))
-    assert surface_distance(made, rough) < surface_distance(ball, rough) / 5
-
-
 def test_detail_follows_what_the_lattice_cannot():
     rough, apart = bumpy(POT, waves=18), []
     for detail in (0.0, 0.03):
         decoder = replace(AS_IS, detail=detail, cell=0.5)
         shared = decoder.prepare([POT], mean=BALL, seed=0)
         apart.append(decoder.fit(shared, [rough], seed=0)[1][0])
-    print(apart)
     assert apart[1] < apart[0] / 2
 
 
 def test_the_lattice_is_finer_about_a_bump_alone():
-    def dented(height):
-        away = np.linalg.norm(EGG.vertices - [0.6, 0, 0], axis=1)
-        bump = height * np.exp(-((away / 0.15) ** 2))
-        return trimesh.Trimesh(EGG.vertices + bump[:, None] * [1, 0, 0], EGG.faces, process=False)
+    """The top of an ellipsoid with z raised by 0.08 exp(−r² / 0.1²): narrower than a coarse cell of 0.36."""
+    base = shapes.ellipsoid(FLAT, divisions=4)
 
-    apart, meshes = [], [dented(0.1), dented(-0.1)]
+    def raised(x, y):
+        return 0.08 * np.exp(-(x**2 + y**2) / 0.01)
+
+    x, y, z = base.vertices.T
+    bump = trimesh.Trimesh(np.stack([x, y, z + raised(x, y) * (z > 0)], 1), base.faces, process=False)
+    apart = []
     for tolerance in (0.0, 1e-3):
         decoder = replace(AS_IS, tolerance=tolerance, cell=0.3)
-        shared = decoder.prepare(meshes, mean=EGG, seed=0)
-        apart.append(decoder.fit(shared, meshes, seed=0)[1].max())
+        shared = decoder.prepare([bump], mean=base, seed=0)
+        weights = decoder.fit(shared, [bump], seed=0)[0][0]
+        x, y, z = decoder.decode(shared, weights, resolution=1).vertices.T
+        top = (z > 0) & (x**2 + y**2 < 0.2**2)
+        true = 0.2 * np.sqrt(1 - (x[top] / 0.6) ** 2 - (y[top] / 0.35) ** 2) + raised(x[top], y[top])
+        apart.append(np.abs(z[top] - true).mean())
     fine = Template.of(shared, detailed=False).space.fine
     nodes = fine.nodes[shared["chosen"]]
-    print(apart, len(nodes), fine.size, nodes.min(0), nodes.max(0))
-    assert 8 <= len(nodes) < 0.15 * fine.size
-    assert np.linalg.norm(nodes - [0.6, 0, 0], axis=1).max() < 0.5
-    assert apart[1] < 0.7 * apart[0]
-
-
-# Whether a design is sound.
-
-
-def checks(template, weights, vertices=None):
-    made = template.moved(weights) if vertices is None else vertices
-    return {check.name: check for check in health_checks(template, weights, made)}
-
-
-def test_what_does_not_move_is_sound(ball):
-    found = checks(ball, np.zeros(ball.count))
-    assert all(check.passed for check in found.values())
-    assert {name: check.value for name, check in found.items()} == {
-        "jacobian": 1, "flipped": 0, "crossing": 0, "quality": pytest.approx(1, abs=0.5)
-    }  # fmt: skip
-
-
-def test_a_motion_that_folds(ball):
-    """x → x − 0.9 x² turns back at x = 5 / 9: its derivative is 1 − 1.8 x."""
-    lattice = ball.space.coarse
-    weights = np.zeros((ball.space.size, 3))
-    weights[:, 0] = -0.9 * (lattice.nodes[:, 0] ** 2 - lattice.cell**2 / 3)
-    larger = replace(ball, surface=Surface(ball.surface.vertices * [1.1, 1, 1], ball.surface.faces))
-    x = larger.surface.vertices[larger.surface.faces].mean(1)[:, 0]
-    found = checks(larger, weights.ravel())
-    assert found["jacobian"].value == pytest.approx(1 - 1.8 * x.max(), abs=1e-9)
-    assert found["jacobian"].value < 0 < LEAST
-    assert not found["jacobian"].passed
-    assert found["flipped"].passed  # faces turn over as space does
-    matrices = gradients(larger, weights.ravel(), larger.surface.vertices)
-    np.testing.assert_allclose(matrices[:, 0, 0], 1 - 1.8 * larger.surface.vertices[:, 0], atol=1e-9)
-
-
-def test_a_template_pushed_through_itself(ball):
-    detailed = replace(ball, detailed=True)
-    x, y, z = ball.surface.vertices.T
-    push = -0.9 * np.exp(-(x**2 + y**2) / 0.04) * (z > 0)
-    found = checks(detailed, np.concatenate([np.zeros(ball.count), push]))
-    print({k: v.value for k, v in found.items()})
-    assert found["jacobian"].value == 1
-    assert found["crossing"].value > 10
-    assert not found["crossing"].passed
-
-
-def test_a_vertex_pulled_over_its_neighbours(ball):
-    vertices = ball.surface.vertices.copy()
-    vertices[0] += 5 * (vertices[ball.surface.faces[(ball.surface.faces == 0).any(1)][0]].mean(0) - vertices[0])
-    found = checks(ball, np.zeros(ball.count), vertices)
-    assert 0 < found["flipped"].value < 7
-    assert not found["flipped"].passed
-
-
-def test_triangles_squashed(ball):
-    squash = (np.zeros((ball.space.size, 3)) - [0, 0, 0.9]) * ball.space.coarse.nodes
-    found = checks(ball, squash.ravel())
-    assert found["jacobian"].value == pytest.approx(0.1)
-    assert found["jacobian"].passed
-    assert found["quality"].value < 0.4
-    assert not found["quality"].passed
-    assert found["crossing"].passed
+    assert 8 <= len(nodes) < 0.1 * fine.size
+    assert np.linalg.norm(nodes - [0, 0, 0.2], axis=1).max() < 0.6
+    assert apart[1] < apart[0] / 3
 
 
 # What it refuses.

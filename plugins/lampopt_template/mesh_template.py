@@ -104,7 +104,8 @@ class MeshTemplate:
         template = self._template(mean)
         pilots = [Surface.of(meshes[i]) for i in _outer(meshes)]
         registration = self._registration(template)
-        moved = _each(lambda target: template.moved(self._onto(template, registration, target, seed)), pilots)
+        plain = replace(template, detailed=False)  # the lattice is to do what it can before detail comes on top
+        moved = _each(lambda target: plain.moved(self._onto(plain, registration, target, seed)), pilots)
         quality = min(least_quality(vertices, template.surface.faces) for vertices in moved)
         template = replace(template, quality=quality)
         if self.tolerance:
@@ -171,7 +172,8 @@ class MeshTemplate:
         return Template.of(shared, detailed=self.detail > 0)
 
     def _template(self, mean: Trimesh) -> Template:
-        vertices, faces = np.asarray(mean.vertices, float), np.asarray(mean.faces, np.int64)
+        given = Surface.of(mean)
+        vertices, faces = given.vertices, given.faces
         twins, plane = np.empty(0, np.int64), np.empty(0)
         edge = edge_of(float(mean.area), self.faces)
         if self.remesh:

@@ -37,8 +37,9 @@ class Surface:
 
     @classmethod
     def of(cls, mesh: Trimesh) -> Surface:
-        """That of a mesh."""
-        return cls(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        """That of a mesh; a closed one that is inside out is turned."""
+        faces = np.asarray(mesh.faces)
+        return cls(np.asarray(mesh.vertices), faces[:, ::-1] if mesh.is_watertight and mesh.volume < 0 else faces)
 
     @cached_property
     def crosses(self) -> Array:
