@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import lampopt
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [p for p in (str(HERE.parent),) if p not in sys.path]
-common, grid, plate, body, fidelity, measures = (
+common, grid, plate, body, fidelity, measures, sections = (
     importlib.import_module(f"benchmarks.{name}")
-    for name in ("common", "grid", "plate", "body", "fidelity", "measures")
+    for name in ("common", "grid", "plate", "body", "fidelity", "measures", "sections")
 )
 PITCH = 0.05
 
@@ -191,3 +192,29 @@ def test_options_of_the_decoder_are_read():
 def test_the_page_that_it_names_exists():
     (page,) = re.findall(r"docs/\S+\.md", fidelity.__doc__)
     assert (HERE.parent / page).exists()
+
+
+def test_sections_read_a_block_and_a_wedge():
+    """A block of 4 × 2 × 1 m, and one whose roof falls by 0.1 m a metre."""
+    block = trimesh.creation.box([4.0, 2.0, 1.0]).subdivide()
+    read = sections.readings(block)
+    assert read == pytest.approx([4, 2, 2, 1, 1, 0, 0, 0, 0, 0], abs=1e-6)
+    wedge = block.copy()
+    up = wedge.vertices[:, 2] > 0
+    wedge.vertices[up, 2] -= 0.1 * (wedge.vertices[up, 0] + 2)
+    read = sections.readings(wedge)
+    assert read[8:] == pytest.approx(np.degrees(np.arctan([-0.1, -0.1])), abs=1e-4)
+    assert read[6:8] == pytest.approx([0, 0], abs=1e-6)
+
+
+def test_a_reading_is_calibrated_on_exemplars():
+    """Parameters that are other units and offsets of what is read come back; what is cut off cannot be read."""
+    sizes = np.random.default_rng(0).uniform([3, 1.5, 0.8], [5, 2.5, 1.4], (14, 3))
+    blocks = [trimesh.creation.box(size).subdivide() for size in sizes]
+    parameters = np.zeros((14, 8))
+    parameters[:, 0], parameters[:, 1], parameters[:, 2] = 1000 * sizes[:, 0] - 7, sizes[:, 1] / 2, sizes[:, 2] + 3
+    reading = sections.Reading.of(blocks, parameters)
+    asked = trimesh.creation.box([6.0, 3.0, 0.7]).subdivide()
+    assert reading(asked)[:3] == pytest.approx([5993, 1.5, 3.7], rel=1e-5)
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    assert np.isnan(reading(flat)).all()
