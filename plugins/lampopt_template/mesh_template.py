@@ -97,10 +97,10 @@ class MeshTemplate:
 
         Raises FitError where an exemplar is of another topology than the mean, naming it.
         """
-        if topology(mean).genus is None:
+        if (wanted := topology(mean)).genus is None:
             raise FitError(f"{_called(mean)}: expected a closed mesh as the template's, got one that is open")
         for mesh in meshes:
-            _same_topology(mesh, mean)
+            _same_topology(mesh, wanted)
         template = self._template(mean)
         pilots = [Surface.of(meshes[i]) for i in _outer(meshes)]
         registration = self._registration(template)
@@ -117,11 +117,11 @@ class MeshTemplate:
     ) -> tuple[Array, Array]:
         """Weights (n, D) and mean surface errors (n,) [box]: the larger of there and back."""
         template = self._of(shared)
-        plain, registration = template.mesh(template.surface.vertices), self._registration(template)
+        wanted, registration = topology(template.mesh(template.surface.vertices)), self._registration(template)
         said = progress or (lambda done, message="", /: None)
 
         def fitted(mesh: Trimesh) -> tuple[Array, float]:
-            _same_topology(mesh, plain)
+            _same_topology(mesh, wanted)
             target = Surface.of(mesh)
             weights = self._onto(template, registration, target, seed).astype(np.float32)
             made = Surface(template.moved(weights), template.surface.faces)
@@ -136,8 +136,7 @@ class MeshTemplate:
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points: expected shape (M, 3), got {points.shape}")
         template = self._of(shared)
-        flat = weights.reshape(-1, weights.shape[-1])
-        moved = np.array([template.displaced(points, each) for each in flat])
+        moved = np.array([*map(template.carrier(points), weights.reshape(-1, weights.shape[-1]))])
         return moved.reshape(*weights.shape[:-1], len(points), 3)
 
     def decode(self, shared: Shared, weights: Array, *, resolution: int) -> Trimesh:
@@ -162,7 +161,7 @@ class MeshTemplate:
         Within the lattice they move as it does; beyond, its motion at the nearest place in it dies away.
         """
         template = self._of(shared)
-        return template.displaced(np.asarray(points, float), weights, FADE * template.size)
+        return template.carrier(np.asarray(points, float), FADE * template.size)(weights)
 
     def design_checks(self, shared: Shared, weights: Array, mesh: Trimesh) -> Sequence[Check]:
         """Whether the moved template is a sound surface."""
@@ -238,16 +237,16 @@ def _called(mesh: Trimesh) -> str:
     return str(mesh.metadata.get("name", "a mesh"))
 
 
-def _same_topology(mesh: Trimesh, wanted: Trimesh) -> None:
+def _same_topology(mesh: Trimesh, wanted: Topology) -> None:
     """FitError where a closed mesh has other bodies or another genus than the template."""
     if len(mesh.faces) == 0 or not mesh.area > 0:
         raise FitError(f"{_called(mesh)}: expected a surface, got a mesh without faces")
-    found, template = topology(mesh), topology(wanted)
+    found = topology(mesh)
     if found.genus is None:
         log.warning("%s: is open: the template is moved onto what there is of it", _called(mesh))
-    elif (found.bodies, found.genus) != (template.bodies, template.genus):
+    elif (found.bodies, found.genus) != (wanted.bodies, wanted.genus):
         raise FitError(
-            f"{_called(mesh)}: expected the template's topology, {_said(template)}, got {_said(found)}: no motion of "
+            f"{_called(mesh)}: expected the template's topology, {_said(wanted)}, got {_said(found)}: no motion of "
             "the template makes one of the other; leave it out, or take decoder 'sdf-mlp'"
         )
 

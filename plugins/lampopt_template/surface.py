@@ -143,13 +143,11 @@ class Surface:
 
     def _weights(self, faces: Array, points: Array) -> Array:
         """(M, 3) barycentric coordinates of `points` in `faces`, none negative."""
-        a, b, c = self.vertices[self.faces[faces]].transpose(1, 0, 2)
-        ab, ac, ap = b - a, c - a, points - a
-        bb, bc, cc = (ab * ab).sum(1), (ab * ac).sum(1), (ac * ac).sum(1)
-        pb, pc = (ap * ab).sum(1), (ap * ac).sum(1)
-        size = np.maximum(bb * cc - bc * bc, 1e-300)
-        v, w = (cc * pb - bc * pc) / size, (bb * pc - bc * pb) / size
-        weights = np.clip(np.stack([1 - v - w, v, w], -1), 0, 1)
+        import igl
+
+        a, b, c = (np.ascontiguousarray(self.vertices[self.faces[faces, k]]) for k in range(3))
+        weights = igl.barycentric_coordinates(np.ascontiguousarray(points), a, b, c)
+        weights = np.where(np.isfinite(weights).all(1, keepdims=True), np.clip(weights, 0, 1), 1 / 3)  # no area: any
         return np.asarray(weights / weights.sum(1, keepdims=True))
 
 

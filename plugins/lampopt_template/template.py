@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -114,25 +114,28 @@ class Template:
             half = half + self.surface.vertex_normals[: self.half] * along[:, None]
         return self.whole(half)
 
-    def displaced(self, points: Array, weights: Array, fade: float = np.inf) -> Array:
-        """(M, 3) where points of space go along with the template.
+    def carrier(self, points: Array, fade: float = np.inf) -> Callable[[Array], Array]:
+        """Where points (M, 3) of space go along with the template: from weights (D,) to (M, 3).
 
         Beyond the lattice its motion at the nearest place in it dies away over the length `fade`; a displacement along
         normals is that of the nearest place on the template, and dies away over the length of a cell.
         """
-        coefficients, along = self.parts(weights)
         lattice = self.space.coarse
         inside = np.clip(points, lattice.low, lattice.high)
-        share = _dying(np.linalg.norm(points - inside, axis=1) / fade)
-        motion = self.space.rows(inside) @ coefficients * share[:, None]
-        if self.detailed:
-            near = self.surface.near(points)
-            share = _dying(np.linalg.norm(points - near.points, axis=1) / lattice.cell)
+        share = _dying(np.linalg.norm(points - inside, axis=1) / fade)[:, None]
+        rows = self.space.rows(inside)
+        if not self.detailed:
+            return lambda weights: np.asarray(points + rows @ self.parts(weights)[0] * share)
+        near = self.surface.near(points)
+        faces = self.surface.faces[near.faces]
+        beside = near.weights * _dying(np.linalg.norm(points - near.points, axis=1) / lattice.cell)[:, None]
+
+        def carried(weights: Array) -> Array:
+            coefficients, along = self.parts(weights)
             corners = self._everywhere(self.surface.vertex_normals[: self.half] * along[:, None])
-            motion = motion + share[:, None] * np.einsum(
-                "mk,mkc->mc", near.weights, corners[self.surface.faces[near.faces]]
-            )
-        return np.asarray(points + motion)
+            return np.asarray(points + rows @ coefficients * share + np.einsum("mk,mkc->mc", beside, corners[faces]))
+
+        return carried
 
     def _everywhere(self, half: Array) -> Array:
         """(V, 3) displacements of all vertices from those of the half."""
@@ -172,9 +175,14 @@ class Template:
         if not len(self.plane):
             return coefficients
         axis = int(self.plane[0])
-        mirrored = coefficients[self.space.mirrored(axis)].copy()
+        mirrored = coefficients[self._mirrored].copy()
         mirrored[:, axis] *= -1
         return np.asarray((coefficients + mirrored) / 2)
+
+    @cached_property
+    def _mirrored(self) -> Array:
+        """(size,) which function each one becomes across the plane."""
+        return self.space.mirrored(int(self.plane[0]))
 
     @cached_property
     def _on_plane(self) -> Array:
@@ -206,7 +214,6 @@ def mirrored_half(vertices: Array, faces: Array, axis: int, near: float) -> tupl
         Vertices, those of the half first; faces; twins; plane, as a `Template` holds them.
     """
     from trimesh import Trimesh
-    from trimesh.intersections import slice_mesh_plane
 
     at = float(vertices[:, axis].min() + vertices[:, axis].max()) / 2
     vertices = vertices.copy()
@@ -214,7 +221,7 @@ def mirrored_half(vertices: Array, faces: Array, axis: int, near: float) -> tupl
     vertices[on, axis] = at
     normal, origin = np.eye(3)[axis], at * np.eye(3)[axis]
     whole = Trimesh(vertices, faces, process=False)
-    cut: Trimesh = slice_mesh_plane(whole, normal, origin)  # type: ignore[no-untyped-call]  # trimesh has no types here
+    cut = whole.slice_plane(origin, normal)
     cut.merge_vertices()
     cut.update_faces(cut.nondegenerate_faces())
     cut.remove_unreferenced_vertices()
