@@ -205,6 +205,9 @@ def test_sections_read_a_block_and_a_wedge():
     read = sections.readings(wedge)
     assert read[8:] == pytest.approx(np.degrees(np.arctan([-0.1, -0.1])), abs=1e-4)
     assert read[6:8] == pytest.approx([0, 0], abs=1e-6)
+    roofed = block.copy()  # its upper half leans in by 0.3 m a side: 0.6 m a metre of height
+    roofed.vertices[up, 1] -= 0.3 * np.sign(roofed.vertices[up, 1])
+    assert sections.readings(roofed)[5] == pytest.approx(np.degrees(np.arctan(0.6)), abs=1e-4)
 
 
 def test_a_reading_is_calibrated_on_exemplars():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import eye_array
 
 from lampopt.intersections import self_intersections
 from lampopt.metrics import surface_distance
@@ -14,7 +15,7 @@ from lampopt.topology import topology
 from lampopt_template.detail import Detail
 from lampopt_template.health import LEAST, gradients, health_checks, least_quality
 from lampopt_template.lattice import Lattice, Refined
-from lampopt_template.registration import Registration
+from lampopt_template.registration import AGREE, Registration, _Way
 from lampopt_template.remesh import LONG, edge_of, remeshed
 from lampopt_template.surface import CURVED, Surface
 from lampopt_template.template import Template, mirrored_half
@@ -503,3 +504,15 @@ def test_triangles_squashed(ball):
     assert found["quality"].value < 0.4
     assert not found["quality"].passed
     assert found["crossing"].passed
+
+
+def test_pairs_that_face_away_from_each_other_do_not_count():
+    """Weights of pairs whose normals are at 0, 60 and 180 degrees: in full, in part, not at all."""
+    normals = np.array([[0, 0, 1.0]] * 3)
+    facing = np.array([[0, 0, 1.0], [0, np.sqrt(0.75), 0.5], [0, 0, -1.0]])
+    way = _Way.of(eye_array(3, format="csr"), np.zeros((3, 3)), facing, normals, normals, np.full(3, 2.0))
+    part = (0.5 - AGREE[0]) / (AGREE[1] - AGREE[0])
+    assert way.weights == pytest.approx(np.array([1, part, 0]) / 3)
+    assert 0 < part < 1
+    assert way.gaps == pytest.approx([1, 1, 1])
+    assert way.pull()[2] == pytest.approx([0, 0, 0])
