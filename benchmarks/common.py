@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import hashlib
 import importlib.util
@@ -39,6 +40,18 @@ def module_at(path: Path) -> ModuleType:
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
+
+
+def options(parser: argparse.ArgumentParser, *, decoder: str) -> None:
+    """What every benchmark of banks can be told: the decoder, how finely it is decoded, where things are kept."""
+    parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
+    parser.add_argument("--decoder", default=decoder)
+    parser.add_argument("--resolution", type=int, default=128, help="cells along the decoder's box, where it has them")
+    parser.add_argument("--seed", type=int, default=0, help="of fits and draws")
+    parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where banks and scores are kept")
+    parser.add_argument("--out", type=Path, help="folder for the JSON document")
+    parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
+    parser.add_argument("--threads", type=int, default=1, help="of BLAS and libigl")
 
 
 def installed_and_example() -> Plugins:

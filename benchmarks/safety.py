@@ -29,7 +29,7 @@ from lampopt.types import Array
 
 from . import plate
 from .body import Body, find_judge
-from .common import Bench, Row, counts, key, line
+from .common import Bench, Row, counts, key, line, options
 from .document import put, show, stamped
 
 TOLERANCE = 0.005  # of the surface [m]
@@ -263,14 +263,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--table", choices=("auc", "accepted", "volume", "all"), default="all")
     parser.add_argument("--designs", type=int, default=200, help="a family, for the AUC")
     parser.add_argument("--draws", type=int, default=10_000, help="a range factor, for the volume")
-    parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
-    parser.add_argument("--decoder", default="sdf-mlp")
-    parser.add_argument("--resolution", type=int, default=128, help="cells along the decoder's box")
-    parser.add_argument("--seed", type=int, default=0, help="of fits and draws")
-    parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where banks and scores are kept")
-    parser.add_argument("--out", type=Path, help="folder for the JSON document")
-    parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
-    parser.add_argument("--threads", type=int, default=1, help="of BLAS and libigl")
+    options(parser, decoder="sdf-mlp")
     args = parser.parse_args(given)
     os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)

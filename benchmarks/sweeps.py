@@ -12,7 +12,6 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -25,7 +24,7 @@ from lampopt.types import Array
 
 from . import sections
 from .body import Body, find_judge
-from .common import Bench, Row, counts, judged, line, share, source
+from .common import Bench, Row, counts, judged, line, options, share, source
 from .document import put, show, stamped
 from .sections import Reading
 
@@ -109,15 +108,8 @@ def table(family: Family) -> Row:
 def main(given: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sweeps", description=__doc__)
     parser.add_argument("--body", action="append", help="of the judge's; repeatable; default: all")
-    parser.add_argument("--decoder", default="mesh-template")
-    parser.add_argument("--resolution", type=int, default=128, help="cells along the decoder's box, where it has them")
+    options(parser, decoder="mesh-template")
     parser.add_argument("--quick", action="store_true", help="does it run at all; no figures to quote")
-    parser.add_argument("--json", action="store_true", help="one JSON document on standard output, nothing else there")
-    parser.add_argument("--seed", type=int, default=0, help="of the fits")
-    parser.add_argument("--cache", type=Path, default=Path("runs/benchmarks"), help="where banks and scores are kept")
-    parser.add_argument("--out", type=Path, help="folder for the JSON document")
-    parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
-    parser.add_argument("--threads", type=int, default=1, help="of BLAS and libigl")
     args = parser.parse_args(given)
     os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)
