@@ -95,7 +95,8 @@ class _Surface:
             through.append(passes | on_edge)
             edged.append(np.where(on_edge & ~passes, opposite, -1))
         overlap = np.minimum(ends[0][1], ends[1][1]) - np.maximum(ends[0][0], ends[1][0])
-        good = through[0] & through[1] & (overlap > ON * np.linalg.norm(line, axis=1))
+        # Overlaps count by the sine of the planes' angle, and are known to ON over it: planes nearly one tell little.
+        good = through[0] & through[1] & (overlap > ON)
         both = np.flatnonzero(good & (edged[0] >= 0) & (edged[1] >= 0))
         good[both] = self._interleaved(pairs[both], heights, edged, line[both], both)
         return np.asarray(pairs[good])

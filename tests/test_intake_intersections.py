@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import Delaunay
 
 from lampopt.intersections import self_intersections
 from lampopt.testing import shapes
@@ -204,3 +205,13 @@ def test_loose_triangles_agree_with_exact_arithmetic(vertices):
 def test_a_fan_about_one_vertex_agrees_with_exact_arithmetic(vertices):
     faces = [[0, k, k + 1] for k in range(1, len(vertices), 2)]
     assert self_intersections(mesh(vertices, faces)).tolist() == expected(vertices, faces)
+
+
+def test_neighbours_in_nearly_one_plane_do_not_cross():
+    """A top that is flat but for a bend of about the rounding: triangles lie beside each other about each vertex."""
+    rng = np.random.default_rng(0)
+    points = rng.random((3000, 2))
+    faces = Delaunay(points).simplices
+    for bend in (1e-8, 1e-7, 1e-6, 1e-5):
+        top = np.column_stack([points, bend * np.sin(4 * points[:, 0]) * np.cos(5 * points[:, 1])])
+        assert len(self_intersections(trimesh.Trimesh(top, faces, process=False))) == 0, bend
