@@ -19,7 +19,8 @@ from .grid import Grid, GridMix
 
 FACTORS = (1.0, 1.5, 2.0, 3.0)
 MEASURED = {"length": "extents.length", "width": "extents.width"}
-RATIO = 0.75  # wanted of the grid's error, out of range
+RATIOS = {2.0: 0.75, 3.0: 0.75}  # wanted of the grid's error, by range factor
+MOVED = {1.0: 0.44, 1.5: 0.27, 2.0: 0.28, 3.0: 0.20}  # the same of a moved template
 MARGIN = 0.25  # of the grid around all shapes [m]
 
 
@@ -49,11 +50,29 @@ class Body:
     def factors(self) -> tuple[float, ...]:
         return (1.0, 2.0) if self.bench.quick else FACTORS
 
+    @property
+    def metre(self) -> float:
+        """How long a metre is in the meshes' unit."""
+        return 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.judge.NAMES)
+
+    @property
+    def middle(self) -> Array:
+        """(d,) the middle of the range."""
+        return np.asarray((self.judge.LOW + self.judge.HIGH) / 2)
+
     def base(self) -> Trimesh:
         return self.judge.body(self.name)
 
+    def truth(self, target: Array) -> Trimesh:
+        """The true surface at `target`."""
+        return self.judge.morph(self.base(), target)
+
     def targets(self, f: float) -> Array:
-        return self.judge.targets(f, self.size[1], seed=0)
+        return np.asarray(self.judge.targets(f, self.size[1], seed=0))
 
     def exemplars(self) -> lampopt.Exemplars:
         """The judge's table of meshes, each with a triangulation of its own, as a user would bring it."""
@@ -82,14 +101,16 @@ class Body:
                 del measured[refused[0]]
 
     def grid_mix(self, source: lampopt.Exemplars) -> GridMix:
-        base = self.base()
-        truth = [self.judge.morph(base, p) for f in self.factors for p in self.targets(f)]
-        grid = Grid.around([m.bounds for m in (*source.meshes, *truth)], self.size[2], MARGIN)
+        truth = [self.truth(target) for f in self.factors for target in self.targets(f)]
+        boxes = [m.bounds for m in (*source.meshes, *truth)]
+        grid = Grid.around(boxes, self.size[2] * self.metre, MARGIN * self.metre)
         with self.bench.stage(f"body: distances at {len(source)} × {grid.size} nodes") as tell:
             return GridMix.of(source, grid, self.bench.cache, "body", tell)
 
     def error(self, produced: Trimesh, target: Array) -> Row:
-        return self.judge.surface_error(produced, self.judge.morph(self.base(), target), samples=self.size[3])
+        """How far `produced` is off, by the judge [m]."""
+        found = self.judge.surface_error(produced, self.truth(target), samples=self.size[3])
+        return found | {name: found[name] / self.metre for name in ("mean", "p99")}
 
     def where(self, target: Array) -> list[object]:
         return [
@@ -101,7 +122,7 @@ class Body:
 
     def made(self, bank: lampopt.Bank, target: Array) -> Row:
         """The design at `target` by the decoder: judged by its checks, held against the truth."""
-        asked = dict(zip(self.judge.NAMES, target.tolist(), strict=True))
+        asked = dict(zip(self.names, target.tolist(), strict=True))
 
         def make() -> Row:
             result = lampopt.design(bank, asked, resolution=self.bench.resolution, plugins=self.bench.plugins)
@@ -112,10 +133,9 @@ class Body:
 
     def nothing(self, target: Array) -> Row:
         """The body at the middle of the range, whatever is asked."""
-        middle = (self.judge.LOW + self.judge.HIGH) / 2
 
         def make() -> Row:
-            return self.error(self.judge.morph(self.base(), middle), target)
+            return self.error(self.truth(self.middle), target)
 
         return self.bench.scores.get(["nothing", self.where(target)], make)
 
@@ -144,14 +164,14 @@ def average(rows: list[Row]) -> Row:
     return {"mean_mm": 1000 * mean, "p99_mm": 1000 * p99, "iou": iou}
 
 
-def table(bench: Bench, judge: ModuleType, name: str) -> Row:
+def table(body: Body) -> Row:
     """A row a range factor: the decoder's mixes beside the grid's and beside doing nothing."""
-    body = Body(bench, judge, name)
-    source = body.exemplars()
+    bench, source = body.bench, body.exemplars()
     notes: list[str] = []
     bank = body.bank(source, bench.decoder, notes)
     mix = body.grid_mix(source)
     lines, kept = [], []
+    ratios = MOVED if bench.decoder.name == "mesh-template" and body.name != "car" else RATIOS
     for f in body.factors:
         rows, targets = body.designs(bank, f), body.targets(f)
         with bench.stage(f"body: grid mixes and doing nothing, f={f:g}") as tell:
@@ -160,7 +180,7 @@ def table(bench: Bench, judge: ModuleType, name: str) -> Row:
                 tell(i / len(rows))
                 grid.append(body.on_grid(mix, np.array(row["alpha"]), target))
                 nothing.append(body.nothing(target))
-        lines += _lines(f, rows, grid, nothing)
+        lines += _lines(f, rows, grid, nothing, ratios.get(f))
         kept += [
             {"f": f, "design": i, "error": row["error"], "on_grid": grid[i], "nothing": nothing[i]}
             | {name: row[name] for name in ("accepted", "failed", "empty")}
@@ -170,13 +190,13 @@ def table(bench: Bench, judge: ModuleType, name: str) -> Row:
     return {
         "rows": lines,
         "setting": {
-            "body": name,
+            "body": body.name,
             "exemplars": len(source),
             "targets a factor": body.size[1],
             "measured": dict(bank.measured_by),
-            "grid pitch [m]": mix.grid.pitch,
-            "decoder's cell [m]": 2 / bench.resolution / bank.frame.scale,
-            "fit error [mm]": float(1000 * bank.fit_error.mean() / bank.frame.scale),
+            "grid pitch [m]": mix.grid.pitch / body.metre,
+            "decoder's cell [m]": 2 / bench.resolution / bank.frame.scale / body.metre,
+            "fit error [mm]": float(1000 * bank.fit_error.mean() / bank.frame.scale / body.metre),
         },
         "designs": kept,
         "notes": [
@@ -188,7 +208,7 @@ def table(bench: Bench, judge: ModuleType, name: str) -> Row:
     }
 
 
-def _lines(f: float, rows: list[Row], grid: list[Row], nothing: list[Row]) -> list[Row]:
+def _lines(f: float, rows: list[Row], grid: list[Row], nothing: list[Row], wanted: float | None) -> list[Row]:
     made, plain, still = average([row["error"] for row in rows]), average(grid), average(nothing)
     targets = {"mean_mm": "<= grid", "iou": ">= 0.97"} if f == 1 else {}
     lines = [
@@ -201,7 +221,7 @@ def _lines(f: float, rows: list[Row], grid: list[Row], nothing: list[Row]) -> li
     mismatch = float(np.median([row["checks"]["mismatch"] for row in rows]))
     return [
         *lines,
-        line(f"mean_mm over the grid's, f={f:g}", ratio, target=f"<= {RATIO}" if f in (2.0, 3.0) else None, f=f),
+        line(f"mean_mm over the grid's, f={f:g}", ratio, target=f"<= {wanted}" if wanted else None, f=f),
         line(f"accepted, f={f:g}", accepted, f=f, of=len(rows), by=counts(rows), empty=empty),
         line(f"median mismatch [box], f={f:g}", mismatch, f=f),
     ]

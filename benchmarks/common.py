@@ -26,7 +26,20 @@ from lampopt.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[1]
 # What a judged design depends on.
-CORE = ("check", "decode", "loop", "measured", "metrics", "mix", "mixes", "solve", "task", "topology", "units")
+CORE = (
+    "angles",
+    "check",
+    "decode",
+    "loop",
+    "measured",
+    "metrics",
+    "mix",
+    "mixes",
+    "solve",
+    "task",
+    "topology",
+    "units",
+)
 ROWS = 1  # raise it when kept rows come to hold something else
 Row = dict[str, Any]
 

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from .document import put, show, stamped
 
-TABLES = ("plate", "body", "ablation")
+TABLES = ("plate", "car", "body", "ablation")
 
 
 def arguments(given: Sequence[str] | None = None) -> argparse.Namespace:
@@ -65,6 +65,7 @@ def main(given: Sequence[str] | None = None) -> int:
     from lampopt.errors import LampoptError
 
     from . import ablation, body, plate
+    from .car import Car
     from .common import Bench
 
     talk = Console(stderr=True)
@@ -86,9 +87,10 @@ def main(given: Sequence[str] | None = None) -> int:
         }
         notes = []
         if judge is not None:
-            make["body"] = lambda: body.table(bench, judge, args.body)
+            make["body"] = lambda: body.table(body.Body(bench, judge, args.body))
+            make["car"] = lambda: body.table(Car(bench, judge, "car"))
         elif args.table != "plate":
-            notes.append("no judge.py with its car bodies was found: real bodies are left out (--judge FOLDER)")
+            notes.append("no judge.py with its car bodies was found: cars are left out (--judge FOLDER)")
             talk.print(f"[bold]{notes[0]}[/bold]")
         asked = [name for name in TABLES if args.table in (name, "all") and name in make]
         tables = {}
@@ -104,7 +106,8 @@ def main(given: Sequence[str] | None = None) -> int:
     decoder = {"name": bench.decoder.name, "options": dict(bench.decoder.options)}
     document = stamped("fidelity", decoder=decoder, **settings)
     document |= {"notes": notes, "tables": tables, "seconds": bench.seconds}
-    name = "-".join([args.table, bench.decoder.name, *(["quick"] if args.quick else [])])
+    of = [args.body] if args.table == "body" else []
+    name = "-".join([args.table, *of, bench.decoder.name, *(["quick"] if args.quick else [])])
     put(document, args.out and args.out / f"fidelity-{name}.json", out=args.json)
     return 0
 

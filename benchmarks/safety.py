@@ -48,14 +48,14 @@ class Family:
     bank: lampopt.Bank
     mesh_at: Callable[[Array], Trimesh]
 
-    def draws(self, count: int, seed: int) -> Iterator[tuple[float, Array]]:
-        """Range factors and parameters (d,): one or two of them at random to ± f, the others at the middle."""
+    def draws(self, count: int, most: int, seed: int) -> Iterator[tuple[float, Array]]:
+        """Range factors and parameters (d,): one to `most` of them at random to ± f, the others at the middle."""
         rng = np.random.default_rng(seed)
         low, high = np.array([(q.low, q.high) for q in self.bank.space], float).T
         made = 0
         while made < count:
             f = float(np.exp(rng.uniform(*np.log(FACTORS))))
-            out = rng.permutation(len(low))[: rng.integers(1, 3)]
+            out = rng.permutation(len(low))[: rng.integers(1, min(most, len(low)) + 1)]
             at = np.zeros(len(low))
             at[out] = rng.uniform(-f, f, len(out))
             at[out[0]] = f * rng.choice([-1, 1])  # so that f is reached
@@ -79,7 +79,7 @@ def families(bench: Bench, judge: ModuleType | None) -> Iterator[Family]:
         yield Family("Hybrid", cars, body.bank(cars, bench.decoder, []), lambda p: judge.morph(base, p))
 
 
-def auc(bench: Bench, judge: ModuleType, family: Family, count: int) -> Row:
+def auc(bench: Bench, judge: ModuleType, family: Family, count: int, most: int) -> Row:
     """ROC and PR AUC of the score, of the paper's mismatch alone, and what is accepted."""
     unmeasured = replace(family.bank, measured_by={}, measured=np.empty((len(family.bank), 0)), limits={})
     with bench.stage(f"{family.name}: calibration") as tell:
@@ -89,7 +89,7 @@ def auc(bench: Bench, judge: ModuleType, family: Family, count: int) -> Row:
     assert calibrated.calibration is not None
     rows = []
     with bench.stage(f"{family.name}: {count} designs") as tell:
-        for i, (f, parameters) in enumerate(family.draws(count, bench.seed)):
+        for i, (f, parameters) in enumerate(family.draws(count, most, bench.seed)):
             tell(i / count)
             known = ["safety", family.name, bench.identity(calibrated), parameters.tolist(), key(_code(judge))]
             made = lambda f=f, p=parameters: _judged(bench, judge, family, calibrated, f, p)  # noqa: E731
@@ -142,7 +142,7 @@ def auc(bench: Bench, judge: ModuleType, family: Family, count: int) -> Row:
         "designs": [{name: row[name] for name in ("f", "error", "score", "default", "mismatch")} for row in rows],
         "notes": [
             "bad: surfaces more than the tolerance apart (mean, the judge's), no surface, or not the true topology",
-            f"one or two parameters drawn to ± f, f from {FACTORS[0]:g} to {FACTORS[1]:g}; direct measures off",
+            f"1 to {most} parameters drawn to ± f, f from {FACTORS[0]:g} to {FACTORS[1]:g}; direct measures off",
             "PR AUC is that of finding the bad ones",
         ],
     }
@@ -262,6 +262,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.safety", description=__doc__)
     parser.add_argument("--table", choices=("auc", "accepted", "volume", "all"), default="all")
     parser.add_argument("--designs", type=int, default=200, help="a family, for the AUC")
+    parser.add_argument("--most", type=int, default=2, help="parameters drawn at once, at most, for the AUC")
     parser.add_argument("--draws", type=int, default=10_000, help="a range factor, for the volume")
     options(parser, decoder="sdf-mlp")
     args = parser.parse_args(given)
@@ -278,7 +279,7 @@ def main(given: Sequence[str] | None = None) -> int:
         with threadpool_limits(args.threads, user_api="blas"):
             for family in families(bench, judge):
                 if args.table in ("auc", "all") and judge is not None:
-                    tables[f"auc {family.name}"] = auc(bench, judge, family, args.designs)
+                    tables[f"auc {family.name}"] = auc(bench, judge, family, args.designs, args.most)
                 if args.table in ("accepted", "all") and judge is not None:
                     tables[f"accepted {family.name}"] = accepted(bench, judge, family, max(args.designs // 5, 1))
                 if args.table in ("volume", "all"):
@@ -291,7 +292,7 @@ def main(given: Sequence[str] | None = None) -> int:
             show(Console(), name, table)
     settings = {"decoder": args.decoder, "seed": args.seed, "resolution": args.resolution, "threads": args.threads}
     document = stamped("safety", **settings) | {"notes": notes, "tables": tables, "seconds": bench.seconds}
-    put(document, args.out and args.out / f"safety-{args.table}.json", out=args.json)
+    put(document, args.out and args.out / f"safety-{args.table}-{args.decoder}.json", out=args.json)
     return 0
 
 

@@ -98,6 +98,8 @@ def calibrate(
         )
     before = uncalibrated(bank)
     limits = {**before.limits, **limits_from(found, Limits.of(replace(bank, limits={}), {}))}
+    if "angles" in limits:  # it foretells the error itself, where no held-out exemplar reaches
+        limits["angles"] = allowed * bank.frame.scale
     provenance = {**before.provenance, "calibrated": f"{allowed:g} {bank.frame.unit} against {_against(exemplars)}"}
     made = replace(bank, limits=limits, calibration=found, provenance=provenance, path=None)
     return made if store is None else lamp.store_bank(made, path_of(store, "store"))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lampopt.angles import deviations
 from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError
 from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
@@ -32,6 +33,7 @@ DEFAULTS: Mapping[str, float] = {
     "alpha": 3.0,  # ‖alpha − centre‖; a swap of one exemplar for another is 1.41
     "mismatch": 0.01,  # the paper's epsilon [box]
     "mismatch.band": 0.01,  # the same near the surface
+    "angles": 0.005,  # what is off if angles act by their tangents [box]
     "drift": 0.05,  # [range of the measured value over the bank]
     "clearance": 1.5,  # between the surface and the box [cells]
 }
@@ -127,19 +129,25 @@ def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tu
     return box, np.where(count > 0, (gap * near).sum(-1) / np.maximum(count, 1), np.nan)
 
 
-def mismatch_checks(box: float, band: float, limits: Limits) -> list[Check]:
-    """The lines of evidence about what `mismatches` found."""
-    found = [Check("mismatch", box, "<=", limits["mismatch"], "box", "field", "linearity, all of the box")]
-    if np.isfinite(band):
-        note = f"linearity within {BAND} of the surface"
-        found.append(Check("mismatch.band", band, "<=", limits["mismatch.band"], "box", "field", note))
-    return found
+def linearity_checks(found: Sequence[float], limits: Limits) -> list[Check]:
+    """The lines of evidence about what `mismatches` and `deviations` found, NaN what does not apply."""
+    said = {
+        "mismatch": "linearity, all of the box",
+        "mismatch.band": f"linearity within {BAND} of the surface",
+        "angles": "what is off if angles act by their tangents",
+    }
+    return [
+        Check(name, value, "<=", limits[name], "box", "field", note)
+        for (name, note), value in zip(said.items(), found, strict=True)
+        if name == "mismatch" or np.isfinite(value)
+    ]
 
 
 def field_checks(bank: Bank, decoder: Decoder, design: Design, limits: Limits) -> list[Check]:
     """What the decoder's values at the probes tell, without a mesh."""
-    box, band = mismatches(bank, decoder, design.mix.alpha, design.weights)
-    return mismatch_checks(float(box), float(band), limits)
+    alpha = design.mix.alpha
+    found = (*mismatches(bank, decoder, alpha, design.weights), deviations(bank, decoder, alpha))
+    return linearity_checks([float(value) for value in found], limits)
 
 
 def mesh_checks(

@@ -9,8 +9,9 @@ from math import inf, log10, sqrt
 
 import numpy as np
 
+from lampopt.angles import deviations
 from lampopt.bank import decoder_of
-from lampopt.check import Limits, alpha_checks, mismatch_checks, mismatches
+from lampopt.check import Limits, alpha_checks, linearity_checks, mismatches
 from lampopt.errors import InputError
 from lampopt.mix import mixed_weights
 from lampopt.plugins import Plugins
@@ -123,13 +124,13 @@ def _judged(
         mixes = solve_many(posed, targets, solving)
         alpha = np.array([mix.alpha for mix in mixes])
         found = [
-            mismatches(bank, decoder, part, mixed_weights(bank, part))
+            (*mismatches(bank, decoder, part, mixed_weights(bank, part)), deviations(bank, decoder, part))
             for part in np.array_split(alpha, -(-len(alpha) // held))
         ]
-        box, band = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        for mix, one, near in zip(mixes, box, band, strict=True):
-            checks = [*alpha_checks(posed, mix, limits), *mismatch_checks(float(one), float(near), limits)]
-            yield [check.name for check in checks if not check.passed], float(one)
+        fields = np.stack([np.concatenate(parts) for parts in zip(*found, strict=True)], 1)
+        for mix, field in zip(mixes, fields.tolist(), strict=True):
+            checks = [*alpha_checks(posed, mix, limits), *linearity_checks(field, limits)]
+            yield [check.name for check in checks if not check.passed], field[0]
 
 
 def _wilson(passed: int, count: int) -> tuple[float, float]:
