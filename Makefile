@@ -15,8 +15,9 @@ READY := .venv/ready
 demo: $(READY)
 	$(BIN)/python examples/demo.py demo
 
+# A file a core, one thread each: threads of several tests on the same cores wait for each other.
 test: lint docs
-	$(BIN)/python -m pytest tests examples/third_party_decoder $(PYTEST)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests examples/third_party_decoder $(PYTEST)
 
 docs: $(READY)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html

@@ -37,6 +37,7 @@ MISS = 0.05  # of a parameter, where it can be measured [range]
 FACTORS = (2.0, 8.0)  # how far out designs are drawn
 USUAL = (1.0, 1.5, 2.0, 3.0)  # range factors of what users ask for
 VOLUMES = (1.5, 2.0)
+FAMILIES = ("plate", "Hybrid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +69,12 @@ class Family:
             yield f, parameters
 
 
-def families(bench: Bench, judge: ModuleType | None) -> Iterator[Family]:
-    source = plate.exemplars(bench)
-    assert source.mesh_at is not None
-    yield Family("plate", source, bench.bank("plate", source, bench.decoder), source.mesh_at)
-    if judge is not None:
+def families(bench: Bench, judge: ModuleType | None, wanted: Sequence[str]) -> Iterator[Family]:
+    if FAMILIES[0] in wanted:
+        source = plate.exemplars(bench)
+        assert source.mesh_at is not None
+        yield Family("plate", source, bench.bank("plate", source, bench.decoder), source.mesh_at)
+    if judge is not None and FAMILIES[1] in wanted:
         body = Body(bench, judge, "Hybrid")
         cars = body.exemplars()
         base = body.base()
@@ -261,6 +263,7 @@ def volume(bench: Bench, family: Family, count: int) -> Row:
 def main(given: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.safety", description=__doc__)
     parser.add_argument("--table", choices=("auc", "accepted", "volume", "all"), default="all")
+    parser.add_argument("--family", choices=FAMILIES, action="append", help="repeatable; default: all")
     parser.add_argument("--designs", type=int, default=200, help="a family, for the AUC")
     parser.add_argument("--most", type=int, default=2, help="parameters drawn at once, at most, for the AUC")
     parser.add_argument("--draws", type=int, default=10_000, help="a range factor, for the volume")
@@ -277,7 +280,7 @@ def main(given: Sequence[str] | None = None) -> int:
     try:
         bench = Bench(args.cache, lampopt.Spec(args.decoder), args.resolution, seed=args.seed, console=talk)
         with threadpool_limits(args.threads, user_api="blas"):
-            for family in families(bench, judge):
+            for family in families(bench, judge, args.family or FAMILIES):
                 if args.table in ("auc", "all") and judge is not None:
                     tables[f"auc {family.name}"] = auc(bench, judge, family, args.designs, args.most)
                 if args.table in ("accepted", "all") and judge is not None:

@@ -24,7 +24,7 @@ with open(folder / "plates.csv", "w", newline="") as file:
 exemplars = lampopt.exemplars("table", table=str(folder / "plates.csv"), meshes=str(meshes), unit="m")
 bank = lampopt.build_bank(
     exemplars,
-    decoder=lampopt.Spec("gridsdf", size=33),  # coarse and quick; "sdf-mlp" is the one to use
+    decoder=lampopt.Spec("gridsdf", size=33),  # coarse and quick; "mesh-template" is the one to use
     store=folder / "plates.lamp",
     measured={"length": "extents.length", "width": "extents.width"},  # so that these are checked on every new mesh
 )

@@ -13,7 +13,7 @@ import lampopt
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "demo/sweep")
 folder.mkdir(parents=True, exist_ok=True)
 
-decoder = lampopt.Spec("gridsdf", size=49)  # coarse and quick; "sdf-mlp" is the one to use
+decoder = lampopt.Spec("gridsdf", size=49)  # coarse and quick; "mesh-template" is the one to use
 bank = lampopt.build_bank(lampopt.exemplars("plate"), decoder=decoder, store=folder / "plate.lamp")
 study = lampopt.Study(
     bank,

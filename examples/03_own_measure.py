@@ -38,7 +38,7 @@ folder.mkdir(parents=True, exist_ok=True)
 plugins = Plugins.load(extra=[("own", sys.modules[__name__])])
 bank = lampopt.build_bank(
     lampopt.exemplars("plate"),
-    decoder=lampopt.Spec("gridsdf", size=33),  # coarse and quick; "sdf-mlp" is the one to use
+    decoder=lampopt.Spec("gridsdf", size=33),  # coarse and quick; "mesh-template" is the one to use
     store=folder / "plate.lamp",
     plugins=plugins,
 )

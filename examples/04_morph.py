@@ -34,7 +34,7 @@ cars = lampopt.exemplars(
 for name, mesh in zip(cars.names, cars.meshes, strict=True):
     print(f"{name:12} {mesh.extents[0]:.3f} m long, {mesh.extents[2]:.3f} m high")
 
-decoder = lampopt.Spec("gridsdf", size=49)  # coarse and quick; "sdf-mlp" is the one to use
+decoder = lampopt.Spec("gridsdf", size=49)  # coarse and quick; "mesh-template" is the one to use
 bank = lampopt.build_bank(cars, decoder=decoder, store=folder / "car.lamp")
 result = lampopt.design(bank, {"roof": "80 mm", "ramp": "3 deg"}, keep=["length", "hood"], reference="base")
 for check in result.checks:

@@ -23,7 +23,7 @@ target = {"hole_radius": 0.30}
 
 plates = lampopt.exemplars("plate")
 with progress_bar("fitting 13 plates") as progress:
-    bank = lampopt.build_bank(plates, decoder="sdf-mlp", seed=0, store=folder / "plate.lamp", progress=progress)
+    bank = lampopt.build_bank(plates, decoder="mesh-template", seed=0, store=folder / "plate.lamp", progress=progress)
 
 result = lampopt.design(bank, target)
 

@@ -36,7 +36,7 @@ log = logging.getLogger("lampopt")
 
 def build_bank(
     exemplars: Exemplars,
-    decoder: str | Spec = "sdf-mlp",
+    decoder: str | Spec = "mesh-template",
     *,
     seed: int = 0,
     store: str | Path | None = None,

@@ -41,7 +41,7 @@ def test_programs_run(page, bank, tmp_path):
     found = programs(ROOT / page)
     assert found
     for program in found:
-        program = program.replace('decoder="sdf-mlp"', f"decoder={QUICK}")
+        program = program.replace('decoder="mesh-template"', f"decoder={QUICK}")
         command = [sys.executable, "-W", "error", "-c", program]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
         assert done.returncode == 0, done.stderr

@@ -13,7 +13,7 @@ import trimesh
 import lampopt
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-SLOW, QUICK = '"sdf-mlp"', 'lampopt.Spec("gridsdf", size=25)'
+SLOW, QUICK = '"mesh-template"', 'lampopt.Spec("gridsdf", size=25)'
 
 
 def run(script, folder, *arguments):

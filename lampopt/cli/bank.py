@@ -43,7 +43,7 @@ def bank() -> None:
 @bank.command(resumes="the same command goes on where it stopped")
 @_source
 @_settings
-@click.option("--decoder", default="sdf-mlp", show_default=True, metavar="NAME", help="What fits them.")
+@click.option("--decoder", default="mesh-template", show_default=True, metavar="NAME", help="What fits them.")
 @click.option(
     "--decoder-set", "decoder_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the decoder."
 )

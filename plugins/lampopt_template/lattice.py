@@ -74,6 +74,14 @@ class Lattice:
         shape = (len(points), self.size)
         return csr_array((weights.ravel(), index.ravel(), np.arange(0, weights.size + 1, 64)), shape=shape)
 
+    def displacement(self, points: Array, coefficients: Array) -> Array:
+        """(M, 3) u at `points` (M, 3) within the lattice, without its matrix: for many points and one motion."""
+        from scipy.ndimage import map_coordinates
+
+        at = ((points - self.low) / self.cell + 1).T
+        grids = np.moveaxis(coefficients.reshape(*self.count, 3), -1, 0)
+        return np.stack([map_coordinates(grid, at, order=3, mode="nearest", prefilter=False) for grid in grids], -1)
+
     def bending(self) -> Sparse:
         """(size, size) the quadratic form of ∫ |∂²u|² over the lattice, of one coordinate: 0 for affine u alone."""
         from scipy.sparse import csr_array, kron
@@ -133,6 +141,16 @@ class Refined:
         if not len(self.chosen):
             return coarse
         return csr_array(hstack([coarse, self.fine.rows(points, derivative)[:, self.chosen]]))
+
+    def displacement(self, points: Array, coefficients: Array) -> Array:
+        """(M, 3) as `Lattice.displacement`."""
+        coarse, fine = np.split(coefficients, [self.coarse.size])
+        moved = self.coarse.displacement(points, coarse)
+        if len(self.chosen):
+            everywhere = np.zeros((self.fine.size, 3))
+            everywhere[self.chosen] = fine
+            moved += self.fine.displacement(points, everywhere)
+        return moved
 
     def bending(self) -> Sparse:
         """(size, size) as `Lattice.bending`, of all functions together."""

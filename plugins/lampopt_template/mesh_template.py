@@ -161,7 +161,7 @@ class MeshTemplate:
         Within the lattice they move as it does; beyond, its motion at the nearest place in it dies away.
         """
         template = self._of(shared)
-        return template.carrier(np.asarray(points, float), FADE * template.size)(weights)
+        return template.displaced(np.asarray(points, float), weights, FADE * template.size)
 
     def design_checks(self, shared: Shared, weights: Array, mesh: Trimesh) -> Sequence[Check]:
         """Whether the moved template is a sound surface."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 AXES = ("x", "y", "z")
+BLOCK = 100_000  # points that are moved at once
 ARRAYS = ("vertices", "faces", "twins", "plane", "low", "cell", "spans", "chosen", "quality")
 
 
@@ -114,26 +115,44 @@ class Template:
             half = half + self.surface.vertex_normals[: self.half] * along[:, None]
         return self.whole(half)
 
-    def carrier(self, points: Array, fade: float = np.inf) -> Callable[[Array], Array]:
-        """Where points (M, 3) of space go along with the template: from weights (D,) to (M, 3).
+    def carrier(self, points: Array) -> Callable[[Array], Array]:
+        """Where points (M, 3) on and in the template go along with it: from weights (D,) to (M, 3).
 
-        Beyond the lattice its motion at the nearest place in it dies away over the length `fade`; a displacement along
-        normals is that of the nearest place on the template, and dies away over the length of a cell.
+        Beyond the lattice they move as the nearest place in it; a displacement along normals is that of the nearest
+        place on the template, and dies away over the length of a cell.
         """
-        lattice = self.space.coarse
-        inside = np.clip(points, lattice.low, lattice.high)
-        share = _dying(np.linalg.norm(points - inside, axis=1) / fade)[:, None]
-        rows = self.space.rows(inside)
+        rows, beside = self.space.rows(self._inside(points)), self._beside(points)
+        return lambda weights: np.asarray(points + rows @ self.parts(weights)[0] + beside(weights))
+
+    def displaced(self, points: Array, weights: Array, fade: float) -> Array:
+        """Points (M, 3) of space moved as by `carrier`; beyond the lattice that dies away over the length `fade`."""
+        coefficients, moved = self.parts(weights)[0], np.array(points, float)
+        for first in range(0, len(points), BLOCK):
+            block = moved[first : first + BLOCK]
+            inside = self._inside(block)
+            share = _dying(np.linalg.norm(block - inside, axis=1) / fade)[:, None]
+            near = share[:, 0] > 0
+            own = self._beside(block[near])(weights)
+            block[near] += self.space.displacement(inside[near], coefficients) * share[near] + own
+        return moved
+
+    def _inside(self, points: Array) -> Array:
+        """The places of the lattice nearest to `points` (M, 3)."""
+        return np.clip(points, self.space.coarse.low, self.space.coarse.high)
+
+    def _beside(self, points: Array) -> Callable[[Array], Array]:
+        """What displacements along normals add to the motion of `points` (M, 3): from weights (D,) to (M, 3)."""
         if not self.detailed:
-            return lambda weights: np.asarray(points + rows @ self.parts(weights)[0] * share)
+            return lambda weights: np.zeros(3)
         near = self.surface.near(points)
         faces = self.surface.faces[near.faces]
-        beside = near.weights * _dying(np.linalg.norm(points - near.points, axis=1) / lattice.cell)[:, None]
+        away = np.linalg.norm(points - near.points, axis=1) / self.space.coarse.cell
+        beside = near.weights * _dying(away)[:, None]
 
         def carried(weights: Array) -> Array:
-            coefficients, along = self.parts(weights)
+            along = self.parts(weights)[1]
             corners = self._everywhere(self.surface.vertex_normals[: self.half] * along[:, None])
-            return np.asarray(points + rows @ coefficients * share + np.einsum("mk,mkc->mc", beside, corners[faces]))
+            return np.asarray(np.einsum("mk,mkc->mc", beside, corners[faces]))
 
         return carried
 
