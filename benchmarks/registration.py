@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.spatial.distance import cdist
 from trimesh import Trimesh
 
 import lampopt
@@ -32,6 +33,7 @@ from .document import put, show, stamped
 
 BODY = "Hybrid"
 POINTS = 2_000  # of pycpd's clouds: it holds a matrix of points by points
+WIDTH = 0.5  # of its kernel [m]
 SCHEDULE = [[s, 1.0, 0.5, 10] for s in (0.2, 0.1, 0.05, 0.01, 0.005)]  # nricp: stiffness, landmarks, normals, steps
 
 
@@ -56,10 +58,11 @@ def cpd(template: Trimesh, target: Trimesh) -> Trimesh:
 
     rng = np.random.default_rng(0)
     source, aim = (np.asarray(m.vertices)[rng.permutation(len(m.vertices))[:POINTS]] for m in (template, target))
-    drift = DeformableRegistration(X=aim, Y=source, alpha=0.1, beta=0.5)
+    drift = DeformableRegistration(X=aim, Y=source, alpha=0.1, beta=WIDTH)
     drift.register()
-    moved: NDArray[Any] = drift.transform_point_cloud(np.asarray(template.vertices))
-    return Trimesh(moved, template.faces, process=False)
+    points: NDArray[Any] = np.asarray(template.vertices, float)
+    kernel = np.exp(-cdist(points, source, "sqeuclidean") / (2 * WIDTH**2))
+    return Trimesh(points + kernel @ drift.W, template.faces, process=False)
 
 
 RIVALS: dict[str, Callable[[Trimesh, Trimesh], Trimesh]] = {"trimesh nricp_amberg": nricp, "pycpd deformable": cpd}

@@ -14,9 +14,9 @@ import lampopt
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [p for p in (str(HERE.parent),) if p not in sys.path]
-common, grid, plate, body, fidelity, measures, sections = (
+common, grid, plate, body, fidelity, measures, sections, warp = (
     importlib.import_module(f"benchmarks.{name}")
-    for name in ("common", "grid", "plate", "body", "fidelity", "measures", "sections")
+    for name in ("common", "grid", "plate", "body", "fidelity", "measures", "sections", "warp")
 )
 PITCH = 0.05
 
@@ -208,6 +208,11 @@ def test_sections_read_a_block_and_a_wedge():
     roofed = block.copy()  # its upper half leans in by 0.3 m a side: 0.6 m a metre of height
     roofed.vertices[up, 1] -= 0.3 * np.sign(roofed.vertices[up, 1])
     assert sections.readings(roofed)[5] == pytest.approx(np.degrees(np.arctan(0.6)), abs=1e-4)
+
+
+def test_volumes_of_cells_have_a_sign():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
+    assert warp.volumes(corners, np.array([[0, 1, 2, 3], [1, 0, 2, 3]])) == pytest.approx([1.0, -1.0])
 
 
 def test_a_reading_is_calibrated_on_exemplars():

@@ -232,6 +232,15 @@ def test_displace_is_decode_at_the_template_and_nothing_far_away(variant):
     assert steps.max() < 1e-3  # it dies away without a jump
 
 
+def test_points_moved_in_blocks_go_where_they_go_together(variant, monkeypatch):
+    decoder, shared, weights = variant
+    points = np.random.default_rng(1).uniform(-1.5, 1.5, (200, 3))
+    together = decoder.displace(shared, weights, points)
+    monkeypatch.setattr("lampopt_template.template.BLOCK", 17)
+    np.testing.assert_array_equal(decoder.displace(shared, weights, points), together)
+    assert decoder.displace(shared, weights, np.empty((0, 3))).shape == (0, 3)
+
+
 def test_symmetric_designs_are_their_own_mirror_images(variant):
     """Exactly, whatever the exemplar is, and with the faces turned over."""
     decoder, shared, weights = variant

@@ -125,6 +125,15 @@ def test_a_coarse_function_is_the_sum_of_finer_ones():
     np.testing.assert_allclose(sums.T @ both.T, LATTICE.bending().toarray(), atol=1e-9 * np.abs(bent).max())
 
 
+def test_motion_without_the_matrix_is_that_with_it():
+    given = np.random.default_rng(4).normal(size=(REFINED.size, 3))
+    ends = np.array([LATTICE.low, LATTICE.high, (LATTICE.low + LATTICE.high) / 2])
+    points = np.concatenate([within(LATTICE, 400), ends])
+    np.testing.assert_allclose(REFINED.displacement(points, given), REFINED.rows(points) @ given, atol=1e-12)
+    coarse = given[: LATTICE.size]
+    np.testing.assert_allclose(LATTICE.displacement(points, coarse), LATTICE.rows(points) @ coarse, atol=1e-12)
+
+
 def test_bending_of_both_together_is_the_integral():
     given = np.random.default_rng(2).normal(size=REFINED.size)
     fine, step = REFINED.fine, 1e-4 * REFINED.fine.cell
