@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -49,6 +50,11 @@ class Body:
     @property
     def factors(self) -> tuple[float, ...]:
         return (1.0, 2.0) if self.bench.quick else FACTORS
+
+    @property
+    def ratios(self) -> Mapping[float, float]:
+        """What is wanted of the grid's error, by range factor."""
+        return MOVED if self.bench.decoder.name == "mesh-template" else RATIOS
 
     @property
     def metre(self) -> float:
@@ -171,7 +177,6 @@ def table(body: Body) -> Row:
     bank = body.bank(source, bench.decoder, notes)
     mix = body.grid_mix(source)
     lines, kept = [], []
-    ratios = MOVED if bench.decoder.name == "mesh-template" and body.name != "car" else RATIOS
     for f in body.factors:
         rows, targets = body.designs(bank, f), body.targets(f)
         with bench.stage(f"body: grid mixes and doing nothing, f={f:g}") as tell:
@@ -180,7 +185,7 @@ def table(body: Body) -> Row:
                 tell(i / len(rows))
                 grid.append(body.on_grid(mix, np.array(row["alpha"]), target))
                 nothing.append(body.nothing(target))
-        lines += _lines(f, rows, grid, nothing, ratios.get(f))
+        lines += _lines(f, rows, grid, nothing, body.ratios.get(f))
         kept += [
             {"f": f, "design": i, "error": row["error"], "on_grid": grid[i], "nothing": nothing[i]}
             | {name: row[name] for name in ("accepted", "failed", "empty")}

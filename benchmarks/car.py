@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +13,8 @@ import lampopt
 from lampopt.errors import InputError
 from lampopt.types import Array
 
-from .body import Body
+from .body import RATIOS, Body
+from .common import source
 
 DRAWS = 10_000  # at most, for targets that make a car
 
@@ -20,6 +22,10 @@ DRAWS = 10_000  # at most, for targets that make a car
 @dataclass(frozen=True, eq=False)
 class Car(Body):
     """Exemplars as the family meshes them, the truth at any parameters by its own construction."""
+
+    @property
+    def ratios(self) -> Mapping[float, float]:
+        return RATIOS
 
     @property
     def metre(self) -> float:
@@ -52,14 +58,21 @@ class Car(Body):
         assert self._family.mesh_at is not None
         return self._family.mesh_at(target)
 
+    def where(self, target: Array) -> list[object]:
+        from lampopt_families.car import CarSource
+
+        return [*super().where(target), source(CarSource)]
+
     def targets(self, f: float) -> Array:
         """Drawn evenly from the range widened by `f`; what makes no car is drawn again."""
+        from lampopt_families.car import checked
+
         rng = np.random.default_rng([0, round(100 * f)])
         found = list[Array]()
         for _ in range(DRAWS):
             target = self.middle + f * np.ptp(self._ends, axis=0) / 2 * rng.uniform(-1, 1, len(self.names))
             try:
-                self.truth(target)
+                checked(target)
             except InputError:
                 continue
             found.append(target)

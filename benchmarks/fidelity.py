@@ -106,7 +106,7 @@ def main(given: Sequence[str] | None = None) -> int:
     decoder = {"name": bench.decoder.name, "options": dict(bench.decoder.options)}
     document = stamped("fidelity", decoder=decoder, **settings)
     document |= {"notes": notes, "tables": tables, "seconds": bench.seconds}
-    of = [args.body] if args.table == "body" else []
+    of = [args.body] if args.table not in ("plate", "car") else []
     name = "-".join([args.table, *of, bench.decoder.name, *(["quick"] if args.quick else [])])
     put(document, args.out and args.out / f"fidelity-{name}.json", out=args.json)
     return 0

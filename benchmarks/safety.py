@@ -272,6 +272,8 @@ def main(given: Sequence[str] | None = None) -> int:
     os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)
     judge = find_judge(args.judge)
+    if args.most < 1:
+        parser.error(f"--most: expected at least 1, got {args.most}")
     notes = []
     if judge is None:
         notes.append("no judge.py was found: without it there is no truth to compare with (--judge FOLDER)")
@@ -293,9 +295,11 @@ def main(given: Sequence[str] | None = None) -> int:
     if not args.json:
         for name, table in tables.items():
             show(Console(), name, table)
-    settings = {"decoder": args.decoder, "seed": args.seed, "resolution": args.resolution, "threads": args.threads}
+    settings = {"decoder": args.decoder, "most": args.most, "designs": args.designs, "draws": args.draws}
+    settings |= {"seed": args.seed, "resolution": args.resolution, "threads": args.threads}
     document = stamped("safety", **settings) | {"notes": notes, "tables": tables, "seconds": bench.seconds}
-    put(document, args.out and args.out / f"safety-{args.table}-{args.decoder}.json", out=args.json)
+    name = "-".join(["safety", args.table, *(args.family or []), args.decoder])
+    put(document, args.out and args.out / f"{name}.json", out=args.json)
     return 0
 
 

@@ -8,6 +8,7 @@ inverted where its volume changes its sign.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -71,7 +72,7 @@ def table(bench: Bench, body: Body, count: int, largest: float) -> Row:
     for at in unit:
         target = body.middle + at * (body.judge.HIGH - body.judge.LOW) / 2
         asked = dict(zip(body.names, target.tolist(), strict=True))
-        result = lampopt.design(bank, asked, plugins=bench.plugins)
+        result = lampopt.design(bank, asked, resolution=bench.resolution, plugins=bench.plugins)
         began = time.perf_counter()
         moved = lampopt.warp(bank, result.design, points, plugins=bench.plugins)
         seconds = time.perf_counter() - began
@@ -94,9 +95,15 @@ def table(bench: Bench, body: Body, count: int, largest: float) -> Row:
             line("farthest that a wall point leaves the design [mm]", 1000 * max(row["on"] for row in rows)),
             line("seconds per million points", seconds / len(points) * MILLION),
         ],
-        "setting": {"body": body.name, "points": len(points), "cells": len(cells), "f": WIDEST},
+        "setting": {
+            "body": body.name,
+            "points": len(points),
+            "cells": len(cells),
+            "largest cell [m³]": largest,
+            "f": WIDEST,
+        },
         "designs": rows,
-        "notes": ["TetGen, radius to edge at most 1.4, walls kept as they are; time: median of one warp, one thread"],
+        "notes": ["TetGen, radius to edge at most 1.4, walls kept as they are; time: median of one warp"],
     }
 
 
@@ -106,6 +113,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--largest", type=float, default=0.02, help="cell [m³]")
     options(parser, decoder="mesh-template")
     args = parser.parse_args(given)
+    os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)
     judge = find_judge(args.judge)
     if judge is None:

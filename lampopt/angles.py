@@ -20,42 +20,47 @@ NEAR = 0.05  # of the surface, where a signed distance tells how that moves [box
 
 
 def deviations(bank: Bank, decoder: Decoder, alpha: Array) -> Array:
-    """How far surfaces are off, on average, if each angle acts by its tangent (...,) [box].
+    """How far surfaces are off, on average, if each angle p_k acts by its tangent (...,) [box].
 
-    With s_k the surface's motion by angle k over the exemplars (least squares at the probes) and τ = tan that is
+    With s_k the surface's motion by τ(p_k) = tan p_k over the exemplars (least squares at the probes) that is
 
-        Σ_k s_k (τ(p_k) − Σ_i alpha_i τ(p_ik)),    p_k = Σ_i alpha_i p_ik
+        | Σ_k s_k (τ(Σ_i alpha_i p_ik) − Σ_i alpha_i τ(p_ik)) |
 
-    NaN where no parameter that differs is a slope, or the decoder's values at the probes are neither distances nor
-    places. Takes alpha (..., N).
+    NaN where no parameter that differs is a slope, or the decoder's values at the probes are neither signed distances
+    nor places of a template that it displaces. Takes alpha (..., N).
     """
-    columns, to_radians = _angles(bank)
+    slopes, angles = _angles(bank)
     channels = bank.probe_values.shape[-1]
-    if not len(columns) or not (channels == 1 or (channels == 3 and isinstance(decoder, Displace))):
-        return np.full(alpha.shape[:-1], np.nan)
-    values = np.asarray(bank.probe_values[:, :PROBES], float)
+    step = max(1, bank.probe_values.shape[1] // PROBES)
+    values = np.asarray(bank.probe_values[:, ::step], float)
     if channels == 1:
         values = values[:, (np.abs(values) <= NEAR).any((0, 2))]
-        if not values.shape[1]:
-            return np.full(alpha.shape[:-1], np.nan)
-    angles = bank.parameters[:, columns] * to_radians
-    steepest = np.radians(STEEPEST)
-    bent = np.tan(np.clip(alpha @ angles, -steepest, steepest)) - alpha @ np.tan(angles)
-    motion = _motion(bank, values)[columns] / to_radians[:, None, None]
-    return np.asarray(np.linalg.norm(np.tensordot(bent, motion, 1), axis=-1).mean(-1))
+    judged = channels == 1 or (channels == 3 and isinstance(decoder, Displace))
+    if not (judged and len(slopes) and values.shape[1]):
+        return np.full(alpha.shape[:-1], np.nan)
+    asked = alpha @ angles
+    share = np.minimum(1.0, np.radians(STEEPEST) / np.maximum(np.abs(asked), 1e-300))  # of the way to there
+    tangents = np.tan(angles)
+    bent = np.tan(share * asked) - share * (alpha @ tangents)
+    off = np.tensordot(bent, _motion(bank, slopes, tangents, values), 1)
+    return np.asarray(np.linalg.norm(off, axis=-1).mean(-1))
 
 
 def _angles(bank: Bank) -> tuple[Array, Array]:
-    """Which parameters are slopes, and what brings each to radians."""
+    """Which k parameters are slopes, and those of the exemplars (N, k) [rad]."""
     units = {k: factor(q.unit, "rad", q.name) for k, q in enumerate(bank.space) if q.unit in UNITS and q.spread > 0}
-    widest = np.radians(WIDEST)
-    slopes = {k: one for k, one in units.items() if np.abs(bank.parameters[:, k]).max() * one <= widest}
-    return np.array(list(slopes), int), np.array(list(slopes.values()))
+    found = {k: bank.parameters[:, k] * one for k, one in units.items()}
+    slopes = [k for k, angles in found.items() if np.abs(angles).max() <= np.radians(WIDEST) * (1 + 1e-9)]
+    return np.array(slopes, int), np.array([found[k] for k in slopes]).T
 
 
-def _motion(bank: Bank, values: Array) -> Array:
-    """(d, M, C) change of `values` (N, M, C) by each parameter, over the exemplars."""
-    known = np.column_stack([bank.parameters, np.ones(len(bank))])
-    scale = np.abs(known).max(0)
-    scale[scale == 0] = 1.0
-    return np.tensordot(np.linalg.pinv(known / scale)[:-1] / scale[:-1, None], values, 1)
+def _motion(bank: Bank, slopes: Array, tangents: Array, values: Array) -> Array:
+    """(k, M, C) change of `values` (N, M, C) by each of the `tangents` (N, k) of the parameters `slopes`."""
+    known = np.array(bank.parameters)
+    known[:, slopes] = tangents
+    known -= known.mean(0)
+    spread = np.ptp(known, axis=0)
+    known = known / np.where(spread > 0, spread, 1.0)
+    # Where exemplars are fewer than parameters, causes share what they may each have done, as in a mix.
+    found = np.linalg.pinv(known)[slopes] / spread[slopes, None]
+    return np.tensordot(found, values - values.mean(0), 1)

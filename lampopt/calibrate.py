@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import lru_cache
 from math import ceil
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -93,13 +94,12 @@ def calibrate(
     if found.good.all():
         log.warning(
             "no held-out design is off by more than %g %s, the worst by %.3g: nothing tells where designs go wrong, so "
-            "no limit is tighter than its default; a smaller tolerance would tell",
+            "no limit that is learned is tighter than its default; a smaller tolerance would tell",
             *(allowed, bank.frame.unit, found.errors.max()),
         )
     before = uncalibrated(bank)
-    limits = {**before.limits, **limits_from(found, Limits.of(replace(bank, limits={}), {}))}
-    if "angles" in limits:  # it foretells the error itself, where no held-out exemplar reaches
-        limits["angles"] = allowed * bank.frame.scale
+    foretold = {"angles": allowed * bank.frame.scale}
+    limits = {**before.limits, **limits_from(found, Limits.of(replace(bank, limits={}), {}), foretold)}
     provenance = {**before.provenance, "calibrated": f"{allowed:g} {bank.frame.unit} against {_against(exemplars)}"}
     made = replace(bank, limits=limits, calibration=found, provenance=provenance, path=None)
     return made if store is None else lamp.store_bank(made, path_of(store, "store"))
@@ -109,7 +109,9 @@ def _against(exemplars: Exemplars | None) -> str:
     return "the exemplars' decoded shapes" if exemplars is None else "the exemplars' meshes"
 
 
-def limits_from(found: Calibration, defaults: Limits) -> dict[str, float]:
+def limits_from(
+    found: Calibration, defaults: Limits, foretold: Mapping[str, float] = MappingProxyType({})
+) -> dict[str, float]:
     """The limit of each check by the evidence, as `Study.limits` takes them.
 
     A check that tells bad designs from good ones gets the value at which the error, made to rise with the value
@@ -117,6 +119,8 @@ def limits_from(found: Calibration, defaults: Limits) -> dict[str, float]:
     or twice the largest value seen on a good design; without the factor where no design is bad at all. A drift says how
     well a parameter is met, which is more than the tolerance asks: it is looked at over designs that all others let
     through, and tightened only if bad ones are left there; else good designs widen it.
+    What is `foretold` is the error itself by a law, and reaches farther than held-out exemplars do: its limit is the
+    tolerance as given there, or the largest value seen on a good design.
 
     Raises
     ------
@@ -136,7 +140,12 @@ def limits_from(found: Calibration, defaults: Limits) -> dict[str, float]:
         known = ~np.isnan(values) & (left if drift else True)
         if not (known & good).any():
             continue
-        seen = max(float(values[known & good].max()), defaults[name])
+        largest = float(values[known & good].max())
+        if name in foretold:
+            limits[name] = max(foretold[name], largest)
+            left &= ~(values > limits[name])
+            continue
+        seen = max(largest, defaults[name])
         telling = _told_apart(values[known], good[known]) >= TELLING
         if telling:
             limits[name] = _passing(values[known], errors[known], found.tolerance)

@@ -130,16 +130,16 @@ def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tu
 
 
 def linearity_checks(found: Sequence[float], limits: Limits) -> list[Check]:
-    """The lines of evidence about what `mismatches` and `deviations` found, NaN what does not apply."""
-    said = {
+    """The lines of evidence about what was `found`: both of `mismatches`, then `deviations` [box]; NaN: none."""
+    notes = {
         "mismatch": "linearity, all of the box",
         "mismatch.band": f"linearity within {BAND} of the surface",
         "angles": "what is off if angles act by their tangents",
     }
     return [
         Check(name, value, "<=", limits[name], "box", "field", note)
-        for (name, note), value in zip(said.items(), found, strict=True)
-        if name == "mismatch" or np.isfinite(value)
+        for (name, note), value in zip(notes.items(), found, strict=True)
+        if name == "mismatch" or not np.isnan(value)
     ]
 
 

@@ -32,6 +32,7 @@ LAYERS = (
     {"solve"},
     {"mix"},
     {"decode"},
+    {"angles"},
     {"check"},
     {"holdout", "recommend"},
     {"calibrate", "compare", "extrapolation", "residuals"},

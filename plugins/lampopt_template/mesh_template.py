@@ -98,7 +98,10 @@ class MeshTemplate:
         Raises FitError where an exemplar is of another topology than the mean, naming it.
         """
         if (wanted := topology(mean)).genus is None:
-            raise FitError(f"{_called(mean)}: expected a closed mesh as the template's, got one that is open")
+            raise FitError(
+                f"{_called(mean)}: expected a closed mesh as the template's, got one that is open: "
+                "close it (`lampopt wrap`)"
+            )
         for mesh in meshes:
             _same_topology(mesh, wanted)
         template = self._template(mean)

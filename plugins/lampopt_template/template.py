@@ -143,7 +143,7 @@ class Template:
     def _beside(self, points: Array) -> Callable[[Array], Array]:
         """What displacements along normals add to the motion of `points` (M, 3): from weights (D,) to (M, 3)."""
         if not self.detailed:
-            return lambda weights: np.zeros(3)
+            return lambda weights: np.zeros_like(points)
         near = self.surface.near(points)
         faces = self.surface.faces[near.faces]
         away = np.linalg.norm(points - near.points, axis=1) / self.space.coarse.cell
