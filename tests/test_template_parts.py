@@ -501,8 +501,12 @@ def test_a_vertex_pulled_over_its_neighbours(ball):
     vertices = ball.surface.vertices.copy()
     vertices[0] += 5 * (vertices[ball.surface.faces[(ball.surface.faces == 0).any(1)][0]].mean(0) - vertices[0])
     found = checks(ball, np.zeros(ball.count), vertices)
-    assert 0 < found["flipped"].value < 7
+    moved = Surface(vertices, ball.surface.faces)
+    over = (moved.normals * ball.surface.normals).sum(1) < 0
+    assert found["flipped"].value == pytest.approx(moved.areas[over].sum() / moved.areas.sum())
+    assert 0 < over.sum() < 7
     assert not found["flipped"].passed
+    assert f"{over.sum()} faces" in found["flipped"].note
 
 
 def test_triangles_squashed(ball):

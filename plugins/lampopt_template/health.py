@@ -11,6 +11,7 @@ from lampopt_template.template import Template
 
 WORST = 1.0  # percent of triangles that are looked at when their shape is judged
 LEAST = 0.05  # volume that a place keeps at least, in parts of what it was: near 0 space folds
+FLIPPED = 1e-4  # share of the area that may be turned over: a sliver or two, where the surface is creased
 FORMED = 0.4  # quality of triangles that is left at least, in parts of the exemplars'
 
 
@@ -41,7 +42,8 @@ def health_checks(template: Template, weights: Array, vertices: Array) -> list[C
     # Under a motion of space a normal n turns to det(F) F⁻ᵀ n, the cofactors of F applied to it.
     turned = np.einsum("fij,fj->fi", _cofactors(motion), template.surface.normals)
     moved = Surface(vertices, faces)
-    flipped = int(((turned * moved.normals).sum(1) <= 0).sum())
+    over = (turned * moved.normals).sum(1) <= 0
+    flipped = float(moved.areas[over].sum() / max(moved.areas.sum(), 1e-300))
     crossing = len(self_intersections(template.mesh(vertices), most=1000))
     quality = least_quality(vertices, faces) / max(template.quality, 1e-12)
     worst = vertices[faces[int(volume.argmin())]].mean(0)
@@ -56,7 +58,7 @@ def health_checks(template: Template, weights: Array, vertices: Array) -> list[C
             "mesh",
             note,
         ),
-        Check("flipped", float(flipped), "=", 0.0, "faces", "mesh", "turned over against the motion"),
+        Check("flipped", flipped, "<=", FLIPPED, "", "mesh", f"share of the area, {over.sum()} faces, against the motion"),
         Check("crossing", float(crossing), "=", 0.0, "pairs", "mesh", "faces that pass through each other"),
         Check("quality", quality, ">=", FORMED, "", "mesh", "of the worst hundredth of triangles, by the exemplars'"),
     ]
