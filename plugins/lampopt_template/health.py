@@ -58,7 +58,9 @@ def health_checks(template: Template, weights: Array, vertices: Array) -> list[C
             "mesh",
             note,
         ),
-        Check("flipped", flipped, "<=", FLIPPED, "", "mesh", f"share of the area, {over.sum()} faces, against the motion"),
+        Check(
+            "flipped", flipped, "<=", FLIPPED, "", "mesh", f"share of the area ({over.sum()} faces) against the motion"
+        ),
         Check("crossing", float(crossing), "=", 0.0, "pairs", "mesh", "faces that pass through each other"),
         Check("quality", quality, ">=", FORMED, "", "mesh", "of the worst hundredth of triangles, by the exemplars'"),
     ]
