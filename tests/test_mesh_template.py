@@ -22,6 +22,7 @@ from lampopt.topology import topology
 from lampopt.types import Exemplars, Parameter
 from lampopt_families.plate import plate_mesh
 from lampopt_template.mesh_template import MeshTemplate
+from lampopt_template.specks import without_specks
 from lampopt_template.template import Template
 
 TINY = MeshTemplate(faces=1000, cell=0.2, tolerance=0.0)
@@ -337,6 +338,26 @@ def test_arrays_that_do_not_fit(shared, fitted):
         TINY.fit({name: a for name, a in shared.items() if name != "twins"}, [EGG], seed=0)
     assert TINY.evaluate(shared, np.zeros((2, 5, size)), points).shape == (2, 5, 4, 3)
     assert TINY.evaluate(shared, np.zeros(size), points[:0]).shape == (0, 3)
+
+
+def specked(mesh):
+    """`mesh` with a tetrahedron of a hundredth of its size beside it."""
+    speck = trimesh.creation.icosphere(0, radius=0.01)
+    speck.apply_translation(mesh.bounds[1] + 0.05)
+    both = trimesh.util.concatenate([mesh, speck])
+    both.metadata["name"] = "car_020"
+    return both
+
+
+def test_loose_specks_are_left_out_and_named(shared, caplog):
+    (plain,), (with_speck,) = (TINY.fit(shared, [mesh], seed=0)[0] for mesh in (EGG, specked(EGG)))
+    np.testing.assert_array_equal(with_speck, plain)
+    assert "car_020: 1 loose specks are left out" in caplog.text
+    again = TINY.prepare([EGG, BALL], mean=specked(BALL), seed=0)
+    for name, array in TINY.prepare([EGG, BALL], mean=BALL, seed=0).items():
+        np.testing.assert_array_equal(again[name], array)
+    large = trimesh.util.concatenate([EGG, shapes.box((0.2, 0.2, 0.2), centre=(0.7, 0.7, 0.7))])
+    assert without_specks(large) is large
 
 
 def test_meshes_that_cannot_be_met(shared):

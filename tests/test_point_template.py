@@ -340,6 +340,15 @@ def test_other_topologies_are_named_with_both_genera(start):
         TINY.fit(start, [pair], seed=0)
 
 
+def test_loose_specks_are_left_out(start, caplog):
+    speck = trimesh.creation.icosphere(0, radius=0.01)
+    speck.apply_translation(BALL.bounds[1])
+    dirty = trimesh.util.concatenate([BALL, speck])
+    (plain,), (with_speck,) = (TINY.fit(start, [mesh], seed=0)[0] for mesh in (BALL, dirty))
+    np.testing.assert_allclose(with_speck, plain, atol=1e-6)
+    assert "1 loose specks" in caplog.text
+
+
 def test_open_and_empty_meshes_are_named(start):
     sheet = trimesh.Trimesh(BALL.vertices, BALL.faces[1:], process=False)
     sheet.metadata["name"] = "car_019"

@@ -24,6 +24,7 @@ from lampopt_template.health import health_checks, least_quality
 from lampopt_template.lattice import Lattice, Refined
 from lampopt_template.registration import Registration
 from lampopt_template.remesh import edge_of, remeshed
+from lampopt_template.specks import without_specks
 from lampopt_template.surface import Surface
 from lampopt_template.template import AXES, Template, mirrored_half
 
@@ -95,17 +96,18 @@ class MeshTemplate:
     def prepare(self, meshes: Sequence[Trimesh], *, mean: Trimesh, seed: int) -> Shared:
         """The template and the lattice that moves it, finer where exemplars ask for it.
 
-        Raises FitError where an exemplar is of another topology than the mean, naming it.
+        Raises FitError where an exemplar is of another topology than the mean, naming it; loose specks aside.
         """
+        if len({topology(mesh).bodies for mesh in (mean, *meshes)}) > 1:
+            mean = without_specks(mean)
         if (wanted := topology(mean)).genus is None:
             raise FitError(
                 f"{_called(mean)}: expected a closed mesh as the template's, got one that is open: "
                 "close it (`lampopt wrap`)"
             )
-        for mesh in meshes:
-            _same_topology(mesh, wanted)
+        sound = [_alike(mesh, wanted) for mesh in meshes]
         template = self._template(mean)
-        pilots = [Surface.of(meshes[i]) for i in _outer(meshes)]
+        pilots = [Surface.of(sound[i]) for i in _outer(sound)]
         registration = self._registration(template)
         plain = replace(template, detailed=False)  # the lattice is to do what it can before detail comes on top
         moved = _each(lambda target: plain.moved(self._onto(plain, registration, target, seed)), pilots)
@@ -124,8 +126,7 @@ class MeshTemplate:
         said = progress or (lambda done, message="", /: None)
 
         def fitted(mesh: Trimesh) -> tuple[Array, float]:
-            _same_topology(mesh, wanted)
-            target = Surface.of(mesh)
+            target = Surface.of(_alike(mesh, wanted))
             weights = self._onto(template, registration, target, seed).astype(np.float32)
             made = Surface(template.moved(weights), template.surface.faces)
             return weights, max(made.away(target), target.away(made))
@@ -240,11 +241,14 @@ def _called(mesh: Trimesh) -> str:
     return str(mesh.metadata.get("name", "a mesh"))
 
 
-def _same_topology(mesh: Trimesh, wanted: Topology) -> None:
-    """FitError where a closed mesh has other bodies or another genus than the template."""
+def _alike(mesh: Trimesh, wanted: Topology) -> Trimesh:
+    """`mesh`, without specks if it has more bodies than wanted; FitError where it is closed and of another topology."""
     if len(mesh.faces) == 0 or not mesh.area > 0:
         raise FitError(f"{_called(mesh)}: expected a surface, got a mesh without faces")
     found = topology(mesh)
+    if found.bodies > wanted.bodies:
+        mesh = without_specks(mesh)
+        found = topology(mesh)
     if found.genus is None:
         log.warning("%s: is open: the template is moved onto what there is of it", _called(mesh))
     elif (found.bodies, found.genus) != (wanted.bodies, wanted.genus):
@@ -252,6 +256,7 @@ def _same_topology(mesh: Trimesh, wanted: Topology) -> None:
             f"{_called(mesh)}: expected the template's topology, {_said(wanted)}, got {_said(found)}: no motion of "
             "the template makes one of the other; leave it out, or take decoder 'sdf-mlp'"
         )
+    return mesh
 
 
 def _said(shape: Topology) -> str:

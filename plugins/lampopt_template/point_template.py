@@ -12,6 +12,7 @@ from lampopt.errors import EmptyMesh, FitError, InputError
 from lampopt.protocols import Progress, Shared
 from lampopt.topology import topology
 from lampopt.types import Array, Check
+from lampopt_template.specks import without_specks
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -276,6 +277,9 @@ def _target(mesh: Trimesh) -> Target:
     if len(mesh.faces) == 0:
         raise FitError(f"{name}: expected a mesh with faces, got none; remove it from the exemplars")
     shape = topology(mesh)
+    if shape.bodies > 1:
+        mesh = without_specks(mesh)
+        shape = topology(mesh)
     if not shape.closed:
         raise FitError(f"{name}: expected a closed surface, got an open one; close it, or take decoder sdf-mlp")
     if (shape.bodies, shape.genus) != (1, 0):
