@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 STEP = 0.1  # of a parameter's range, to either side: exact where vertices are linear in weights
-ROUNDS = 200  # of the search for where a point comes from
+ROUNDS = 60  # of the search for where a point comes from
 FOUND = 1e-9  # how near it has to come [box]
+HALVED = 8  # times at most that a step of the search is, until it helps
+SMALL = 1e-6  # step of the motion's derivative [box]
 
 
 def warp(
@@ -59,6 +61,7 @@ def warp(
     InputError
         If `points` are none, or `start` folds space so that it cannot be told where they come from.
     """
+    _design(design, "design")
     found: Decoder = decoder_of(bank, plugins or Plugins.load().report())
     if not isinstance(found, Displace):
         raise PluginError(
@@ -66,16 +69,17 @@ def warp(
             "'mesh-template'"
         )
     moving: Displace = found
-    given = np.asarray(points, float)
-    if given.ndim != 2 or given.shape[1] != 3 or not np.isfinite(given).all():
-        raise InputError(f"points: expected finite numbers of shape (M, 3), got shape {given.shape}")
+    given = _points(points)
 
     def displaced(weights: Array, at: Array) -> Array:
         answer = moving.displace(bank.shared, weights, at)
         return returned(f"decoder {bank.decoder.name!r}: displace", answer, (len(at), 3))
 
     here = (given - bank.frame.centre) * bank.frame.scale
-    rest = here if start is None else _origin(lambda x: displaced(start.weights, x), here)
+    rest = here
+    if start is not None:
+        still = (np.asarray(template_of(bank, plugins=plugins).vertices) - bank.frame.centre) * bank.frame.scale
+        rest = _origin(lambda x: displaced(_design(start, "start").weights, x), here, still)
     return np.asarray(given + (displaced(design.weights, rest) - here) / bank.frame.scale)  # what stays, stays exactly
 
 
@@ -87,18 +91,60 @@ def template_of(bank: Bank, *, plugins: Plugins | None = None) -> Trimesh:
     return decode(bank, decoder, np.zeros(bank.weights.shape[1], np.float32))
 
 
-def _origin(moved: Callable[[Array], Array], wanted: Array) -> Array:
-    """Which points are moved to `wanted` (M, 3)."""
-    at = wanted.copy()
+def _design(given: object, what: str) -> Design:
+    if not isinstance(given, Design):
+        raise InputError(f"{what}: expected a Design, such as result.design, got {type(given).__name__}")
+    return given
+
+
+def _points(given: object) -> Array:
+    try:
+        points = np.asarray(given, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"points: expected numbers of shape (M, 3), got {given!r:.80}") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points: expected numbers of shape (M, 3), got shape {points.shape}")
+    if not np.isfinite(points).all():
+        raise InputError(
+            f"points: expected finite numbers, got others in {int((~np.isfinite(points)).any(1).sum())} rows"
+        )
+    return points
+
+
+def _origin(moved: Callable[[Array], Array], wanted: Array, still: Array) -> Array:
+    """Which points are moved to `wanted` (M, 3): Newton's steps from where the nearest of points `still` comes from."""
+    from scipy.spatial import cKDTree
+
+    there = moved(still)
+    at: Array = wanted - (there - still)[cKDTree(there).query(wanted)[1]]
+    off = wanted - moved(at)
     for _ in range(ROUNDS):
-        off = wanted - moved(at)
-        if float(np.abs(off).max(initial=0.0)) <= FOUND:
-            return at
-        at += off
-    raise InputError(
-        f"start: for {int((np.abs(off).max(1) > FOUND).sum())} of {len(wanted)} points it cannot be told where its "
-        "motion brings them from: it folds or turns space there; begin from a design nearer to the template"
-    )
+        left = _unmet(off)
+        if not len(left):
+            break
+        here, gap = at[left], off[left]
+        ends = [moved(here + sign * SMALL * way) for way in np.eye(3) for sign in (1, -1)]
+        slope = np.stack([(one - other) / (2 * SMALL) for one, other in zip(ends[::2], ends[1::2], strict=True)], -1)
+        step = np.einsum("mij,mj->mi", np.linalg.pinv(slope), gap)
+        for _ in range(HALVED):
+            worse = np.linalg.norm(wanted[left] - moved(here + step), axis=1) > np.linalg.norm(gap, axis=1)
+            if not worse.any():
+                break
+            step[worse] /= 2
+        at[left] = here + step
+        off[left] = wanted[left] - moved(at[left])
+    if len(left := _unmet(off)):
+        raise InputError(
+            f"start: for {len(left)} of {len(wanted)} points, such as number {left[0]}, it cannot be told where its "
+            "motion brings them from: it folds space there, or nothing comes to lie there; begin from a design nearer "
+            "to the template"
+        )
+    return at
+
+
+def _unmet(off: Array) -> Array:
+    """Which of the points are still `off` (M, 3)."""
+    return np.flatnonzero(np.abs(off).max(1, initial=0.0) > FOUND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +152,7 @@ class Sensitivities:
     """How a design's vertices move by each parameter, all others held.
 
     `names` and `units` of the k parameters; `mesh` of the design [user's unit]; `motion` (k, V, 3) [user's unit by the
-    parameter's unit]; `steps` (k,) how far each parameter was moved to either side; `ends` the meshes there.
+    parameter's unit]; `steps` (k,) how far each parameter was moved to either side.
     """
 
     names: tuple[str, ...]
@@ -125,8 +171,9 @@ class Sensitivities:
         """Write a picture of the design, red where it grows with the parameter, blue where it shrinks (PNG)."""
         from lampopt.reporting.render import saved
 
+        motion = self.of(name)
         step = float(self.steps[self.names.index(name)])
-        low, high = (self._moved(sign * step * self.of(name)) for sign in (-1, 1))
+        low, high = (self._moved(sign * step * motion) for sign in (-1, 1))
         saved(high, low, path_of(path, "path"), width=width)
 
     def _moved(self, by: Array) -> Trimesh:
@@ -159,6 +206,9 @@ def sensitivities(
     InputError
         If a name is no parameter that differs over the bank.
     """
+    _design(design, "design")
+    if isinstance(names, str):
+        raise InputError(f"names: expected a list of names, got {names!r}")
     plugins = plugins or Plugins.load().report()
     decoder, chosen = decoder_of(bank, plugins), columns(bank)
     free = {q.name: q for q in bank.space if q.spread > 0}

@@ -58,6 +58,17 @@ def test_points_go_from_one_design_to_another_and_back(bank):
     assert on_ellipsoid(on, 1.6, 0.95).mean() < 0.01
 
 
+@pytest.mark.parametrize("wide", [0.3, 2.5])
+def test_a_start_far_from_the_template_is_one_too(bank, wide):
+    """Space stretched three times over in one direction, or shrunk: Newton finds where its points come from."""
+    one, other = asked(bank, 3.5, wide), asked(bank, 1.2, 0.75)
+    on = lampopt.warp(bank, other, one.mesh.vertices, start=one)
+    assert np.allclose(on, other.mesh.vertices, atol=1e-7)
+    around = one.mesh.vertices * np.linspace(0.7, 1.05, len(one.mesh.vertices))[:, None]
+    there = lampopt.warp(bank, other, around, start=one)
+    assert np.allclose(lampopt.warp(bank, one, there, start=other), around, atol=1e-6)
+
+
 def test_far_points_stay(bank):
     far = np.array([[40.0, 0, 0], [0, -30.0, 5.0]])
     assert np.array_equal(lampopt.warp(bank, asked(bank, 1.6, 0.9), far), far)
@@ -85,8 +96,19 @@ def test_wrong_points_and_decoders_are_refused(bank, exemplars):
     design = asked(bank, 1.2, 0.7)
     with pytest.raises(InputError, match=r"shape \(M, 3\)"):
         lampopt.warp(bank, design, np.zeros((3, 2)))
-    with pytest.raises(InputError, match="finite"):
-        lampopt.warp(bank, design, np.full((3, 3), np.nan))
+    with pytest.raises(InputError, match="finite numbers, got others in 2 rows"):
+        lampopt.warp(bank, design, np.array([[0.0, 0, 0], [np.nan, 0, 0], [0, np.inf, 0]]))
+    for points in ([["a", "b", "c"]], [[1.0], [1.0, 2.0]], design.mesh):
+        with pytest.raises(InputError, match="points: expected"):
+            lampopt.warp(bank, design, points)
+    result = lampopt.design(bank, {"long": 1.2}, level="alpha")
+    for what, given in (("design", (result, None)), ("start", (design, result))):
+        with pytest.raises(InputError, match=f"{what}: expected a Design, such as result.design, got Result"):
+            lampopt.warp(bank, given[0], np.zeros((1, 3)), start=given[1])
+    with pytest.raises(InputError, match="expected a Design"):
+        lampopt.sensitivities(bank, result)
+    with pytest.raises(InputError, match="names: expected a list"):
+        lampopt.sensitivities(bank, design, "long")
     grid = lampopt.build_bank(exemplars, lampopt.Spec("gridsdf", size=12), probes=50)
     made = lampopt.design(grid, {"long": 1.2}, level="alpha").design
     with pytest.raises(PluginError, match="'gridsdf': cannot displace"):
@@ -99,7 +121,7 @@ def test_wrong_points_and_decoders_are_refused(bank, exemplars):
 
 def test_a_start_that_folds_space_is_refused(bank):
     design = asked(bank, 1.2, 0.7)
-    folded = lampopt.design(bank, {"long": -3.0, "wide": 0.7}, level="alpha").design
+    folded = lampopt.design(bank, {"long": 0.0, "wide": 0.7}, level="alpha").design  # flat: all comes to lie in a plane
     with pytest.raises(InputError, match="start"):
         lampopt.warp(bank, design, lampopt.template_of(bank).vertices, start=folded)
 
@@ -139,6 +161,8 @@ def test_pictures_are_written(bank, tmp_path):
     assert not blue.any()
     with pytest.raises(InputError, match="expected one of long"):
         found.of("wide")
+    with pytest.raises(InputError, match="expected one of long"):
+        found.picture("wide", tmp_path / "wide.png")
     with pytest.raises(InputError, match="cannot be written"):
         found.picture("long", tmp_path / "no" / "long.png", width=120)
 
