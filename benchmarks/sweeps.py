@@ -131,7 +131,8 @@ def main(given: Sequence[str] | None = None) -> int:
         return 2
     settings = {"decoder": args.decoder, "seed": args.seed, "resolution": args.resolution, "threads": args.threads}
     document = stamped("sweeps", **settings) | {"tables": tables, "seconds": bench.seconds}
-    put(document, args.out and args.out / f"sweeps-{args.decoder}.json", out=args.json)
+    name = "-".join(["sweeps", *(args.body or []), args.decoder])
+    put(document, args.out and args.out / f"{name}.json", out=args.json)
     return 0
 
 
