@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 ON = 1e-9  # of the mesh's size: what is nearer to a plane lies on it; meshes are joined to as many digits
+ALIKE = 1e-6  # sine of two planes' angle below which rounding decides how they lie: they are taken for one
 AT_ONCE = 1 << 18  # pairs looked at in one go: bounds the memory
 NEXT = np.array([1, 2, 0])
 
@@ -25,9 +26,10 @@ NEXT = np.array([1, 2, 0])
 def self_intersections(mesh: Trimesh, *, most: int | None = None) -> Array:
     """Pairs of faces of `mesh` that cross.
 
-    Surfaces that merely touch do not cross, and neither do coplanar ones that overlap. Faces that share an edge are
-    taken not to cross; those that share a vertex do where they meet in more than that. Where a surface crosses another
-    exactly along an edge, the faces on both sides of the edge cross. Faces without area are left out.
+    Surfaces that merely touch do not cross, and neither do ones that overlap in a plane, to a millionth of a radian.
+    Faces that share an edge are taken not to cross; those that share a vertex do where they meet in more than that.
+    Where a surface crosses another exactly along an edge, the faces on both sides of the edge cross. Faces without area
+    are left out.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ class _Surface:
             edged.append(np.where(on_edge & ~passes, opposite, -1))
         overlap = np.minimum(ends[0][1], ends[1][1]) - np.maximum(ends[0][0], ends[1][0])
         # Overlaps count by the sine of the planes' angle, and are known to ON over it: planes nearly one tell little.
-        good = through[0] & through[1] & (overlap > ON)
+        good = through[0] & through[1] & (overlap > ON) & (np.linalg.norm(line, axis=1) > ALIKE)
         both = np.flatnonzero(good & (edged[0] >= 0) & (edged[1] >= 0))
         good[both] = self._interleaved(pairs[both], heights, edged, line[both], both)
         return np.asarray(pairs[good])

@@ -215,3 +215,13 @@ def test_neighbours_in_nearly_one_plane_do_not_cross():
     for bend in (1e-8, 1e-7, 1e-6, 1e-5):
         top = np.column_stack([points, bend * np.sin(4 * points[:, 0]) * np.cos(5 * points[:, 1])])
         assert len(self_intersections(trimesh.Trimesh(top, faces, process=False))) == 0, bend
+
+
+@pytest.mark.parametrize(("angle", "crosses"), [(1e-7, False), (5e-7, False), (1e-5, True), (-1e-4, True)])
+def test_planes_nearly_one_are_one(angle, crosses):
+    """Two triangles that overlap and are turned against each other about a line in both: rounding bends flat faces."""
+    one = np.array([[-0.5, -0.4, 0.0], [0.5, -0.3, 0.0], [0.1, 0.5, 0.0]])
+    other = one @ np.diag([-1, 1, 1]) * [0.7, 0.8, 1]
+    other[:, 2] = np.tan(angle) * other[:, 0]
+    mesh = trimesh.Trimesh(np.concatenate([one, other]), [[0, 1, 2], [3, 4, 5]], process=False)
+    assert len(self_intersections(mesh)) == crosses
