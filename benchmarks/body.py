@@ -34,6 +34,13 @@ def find_judge(path: str | None) -> ModuleType | None:
     return judge if judge.DATA.is_dir() else None
 
 
+def judge_at(path: str | None) -> ModuleType:
+    """As `find_judge`. Raises InputError where it finds none."""
+    if (judge := find_judge(path)) is None:
+        raise InputError("no judge.py with its car bodies was found (--judge FOLDER)")
+    return judge
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """One body's family: a table of exemplars, and targets by range factor."""

@@ -7,6 +7,7 @@ import ast
 import hashlib
 import importlib.util
 import json
+import os
 import sys
 import time
 from collections import Counter
@@ -20,8 +21,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from threadpoolctl import threadpool_limits
 
 import lampopt
+from lampopt.errors import PluginError
 from lampopt.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,6 +68,22 @@ def options(parser: argparse.ArgumentParser, *, decoder: str) -> None:
     parser.add_argument("--out", type=Path, help="folder for the JSON document")
     parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
     parser.add_argument("--threads", type=int, default=1, help="of BLAS and libigl")
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """BLAS and libigl on so many threads; libigl reads its number on its first parallel loop."""
+    os.environ["IGL_NUM_THREADS"] = str(count)
+    with threadpool_limits(count, user_api="blas"):
+        yield
+
+
+def extra(name: str) -> ModuleType:
+    """A package of the extra `bench`. Raises PluginError where it is not installed, saying how it is."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise PluginError(f"{name} is not installed: pip install -c constraints.txt -e '.[bench]'") from error
 
 
 def installed_and_example() -> Plugins:

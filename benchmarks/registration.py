@@ -19,16 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from scipy.spatial.distance import cdist
 from trimesh import Trimesh
 
 import lampopt
+from lampopt.errors import LampoptError
 from lampopt.metrics import surface_distance
 from lampopt.plugins import Plugins
 from lampopt.types import Exemplars, Parameter
 
-from .body import find_judge
-from .common import Row, line
+from .body import judge_at
+from .common import Row, extra, line
 from .document import put, show, stamped
 
 BODY = "Hybrid"
@@ -54,11 +56,9 @@ def nricp(template: Trimesh, target: Trimesh) -> Trimesh:
 
 def cpd(template: Trimesh, target: Trimesh) -> Trimesh:
     """Coherent point drift of a part of the vertices; the others follow by its own Gaussian kernel."""
-    from pycpd import DeformableRegistration
-
     rng = np.random.default_rng(0)
     source, aim = (np.asarray(m.vertices)[rng.permutation(len(m.vertices))[:POINTS]] for m in (template, target))
-    drift = DeformableRegistration(X=aim, Y=source, alpha=0.1, beta=WIDTH)
+    drift = extra("pycpd").DeformableRegistration(X=aim, Y=source, alpha=0.1, beta=WIDTH)
     drift.register()
     points: NDArray[Any] = np.asarray(template.vertices, float)
     kernel = np.exp(-cdist(points, source, "sqeuclidean") / (2 * WIDTH**2))
@@ -115,11 +115,14 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
     args = parser.parse_args(given)
     talk = Console(stderr=True)
-    judge = find_judge(args.judge)
-    if judge is None:
-        talk.print("[bold red]error[/bold red] no judge.py with its car bodies was found (--judge FOLDER)")
+    rivals = args.rival or list(RIVALS)
+    try:
+        if any(RIVALS[name] is cpd for name in rivals):
+            extra("pycpd")  # told before anything is timed
+        found = table(judge_at(args.judge), args.count, rivals, Plugins.load().report(), talk)
+    except LampoptError as error:
+        talk.print("[bold red]error[/bold red]", escape(str(error)), highlight=False)
         return 2
-    found = table(judge, args.count, args.rival or list(RIVALS), Plugins.load().report(), talk)
     if not args.json:
         show(Console(), "registration", found)
     document = stamped("registration", count=args.count) | {"tables": {"registration": found}}

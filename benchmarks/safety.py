@@ -7,7 +7,6 @@ Designs far out of range, of which the truth is known, are scored by the checks 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +17,6 @@ from types import ModuleType
 import numpy as np
 from rich.console import Console
 from sklearn.metrics import average_precision_score, roc_auc_score
-from threadpoolctl import threadpool_limits
 from trimesh import Trimesh
 
 import lampopt
@@ -29,7 +27,7 @@ from lampopt.types import Array
 
 from . import plate
 from .body import Body, find_judge
-from .common import Bench, Row, counts, key, line, options
+from .common import Bench, Row, counts, key, line, options, threads
 from .document import put, show, stamped
 
 TOLERANCE = 0.005  # of the surface [m]
@@ -269,7 +267,6 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--draws", type=int, default=10_000, help="a range factor, for the volume")
     options(parser, decoder="sdf-mlp")
     args = parser.parse_args(given)
-    os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)
     judge = find_judge(args.judge)
     if args.most < 1:
@@ -281,7 +278,7 @@ def main(given: Sequence[str] | None = None) -> int:
     tables = {}
     try:
         bench = Bench(args.cache, lampopt.Spec(args.decoder), args.resolution, seed=args.seed, console=talk)
-        with threadpool_limits(args.threads, user_api="blas"):
+        with threads(args.threads):
             for family in families(bench, judge, args.family or FAMILIES):
                 if args.table in ("auc", "all") and judge is not None:
                     tables[f"auc {family.name}"] = auc(bench, judge, family, args.designs, args.most)

@@ -8,14 +8,12 @@ the reading itself costs.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from rich.console import Console
-from threadpoolctl import threadpool_limits
 
 import lampopt
 from lampopt.errors import LampoptError
@@ -23,8 +21,8 @@ from lampopt.metrics import mean_absolute_error, r_squared
 from lampopt.types import Array
 
 from . import sections
-from .body import Body, find_judge
-from .common import Bench, Row, counts, judged, line, options, share, source
+from .body import Body, judge_at
+from .common import Bench, Row, counts, judged, line, options, share, source, threads
 from .document import put, show, stamped
 from .sections import Reading
 
@@ -111,17 +109,13 @@ def main(given: Sequence[str] | None = None) -> int:
     options(parser, decoder="mesh-template")
     parser.add_argument("--quick", action="store_true", help="does it run at all; no figures to quote")
     args = parser.parse_args(given)
-    os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)
-    judge = find_judge(args.judge)
-    if judge is None:
-        talk.print("[bold red]error[/bold red] no judge.py with its car bodies was found (--judge FOLDER)")
-        return 2
     tables = {}
     try:
+        judge = judge_at(args.judge)
         cache = args.cache / "quick" if args.quick else args.cache
         bench = Bench(cache, lampopt.Spec(args.decoder), args.resolution, args.quick, args.seed, console=talk)
-        with threadpool_limits(args.threads, user_api="blas"):
+        with threads(args.threads):
             for name in args.body or list(judge.LENGTH):
                 tables[name] = table(Family(bench, judge, name))
                 if not args.json:

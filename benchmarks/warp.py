@@ -8,14 +8,13 @@ inverted where its volume changes its sign.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Console
-from threadpoolctl import threadpool_limits
+from rich.markup import escape
 from trimesh import Trimesh
 from trimesh.creation import box
 
@@ -23,8 +22,8 @@ import lampopt
 from lampopt.errors import LampoptError
 from lampopt.types import Array
 
-from .body import Body, find_judge
-from .common import Bench, Row, line, options
+from .body import Body, judge_at
+from .common import Bench, Row, extra, line, options, threads
 from .document import put, show, stamped
 
 ROOM = 1.0  # between the body and the box [body's length]
@@ -34,15 +33,14 @@ MILLION = 1_000_000
 
 def filled(body: Trimesh, largest: float) -> tuple[Array, Array]:
     """Points (M, 3) and tetrahedra (K, 4) of the space between `body` and a box around it."""
-    from tetgen import TetGen
-
     length = float(body.extents.max())
     around = box(body.extents + 2 * ROOM * length)
     for _ in range(4):
         around = around.subdivide()
     around.apply_translation(body.bounds.mean(0))
     corners = np.concatenate([body.vertices, around.vertices])
-    made = TetGen(corners, np.concatenate([body.faces, around.faces + len(body.vertices)]).astype(np.int32))
+    faces = np.concatenate([body.faces, around.faces + len(body.vertices)]).astype(np.int32)
+    made = extra("tetgen").TetGen(corners, faces)
     face = int(body.area_faces.argmax())
     made.add_hole((body.triangles_center[face] - 1e-3 * length * body.face_normals[face]).tolist())
     points, cells, *_ = made.tetrahedralize(
@@ -59,6 +57,7 @@ def volumes(points: Array, cells: Array) -> Array:
 
 def table(bench: Bench, body: Body, count: int, largest: float) -> Row:
     """Inverted cells over `count` designs, the worst that a cell is compressed, and the time."""
+    extra("tetgen")  # told before anything is fitted
     bank = body.bank(body.exemplars(), bench.decoder, [])
     template = lampopt.template_of(bank, plugins=bench.plugins)
     with bench.stage("tetrahedra"):
@@ -116,18 +115,14 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--largest", type=float, default=0.005, help="cell [m³]")
     options(parser, decoder="mesh-template")
     args = parser.parse_args(given)
-    os.environ["IGL_NUM_THREADS"] = str(args.threads)  # read by libigl on its first parallel loop
     talk = Console(stderr=True)
-    judge = find_judge(args.judge)
-    if judge is None:
-        talk.print("[bold red]error[/bold red] no judge.py with its car bodies was found (--judge FOLDER)")
-        return 2
     try:
+        judge = judge_at(args.judge)
         bench = Bench(args.cache, lampopt.Spec(args.decoder), args.resolution, seed=args.seed, console=talk)
-        with threadpool_limits(args.threads, user_api="blas"):
+        with threads(args.threads):
             found = table(bench, Body(bench, judge, "Hybrid"), args.designs, args.largest)
     except LampoptError as error:
-        talk.print(f"[bold red]error[/bold red] {error}", highlight=False)
+        talk.print("[bold red]error[/bold red]", escape(str(error)), highlight=False)
         return 2
     if not args.json:
         show(Console(), "warp", found)

@@ -210,6 +210,22 @@ def test_sections_read_a_block_and_a_wedge():
     assert sections.readings(roofed)[5] == pytest.approx(np.degrees(np.arctan(0.6)), abs=1e-4)
 
 
+@pytest.mark.parametrize(("name", "package"), [("warp", "tetgen"), ("registration", "pycpd")])
+def test_a_package_that_is_absent_is_said_before_anything_is_fitted(name, package, monkeypatch, tmp_path, capsys):
+    (tmp_path / "judge.py").write_text("from pathlib import Path\nDATA = Path(__file__).parent\n", encoding="utf-8")
+    monkeypatch.setitem(sys.modules, package, None)
+    given = ["--judge", str(tmp_path)] + (["--cache", str(tmp_path / "cache")] if name == "warp" else [])
+    assert importlib.import_module(f"benchmarks.{name}").main(given) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert said == f"error {package} is not installed: pip install -c constraints.txt -e '.[bench]'"
+
+
+@pytest.mark.parametrize("name", ["warp", "registration", "sweeps"])
+def test_without_the_judge_it_says_so(name, tmp_path, capsys):
+    assert importlib.import_module(f"benchmarks.{name}").main(["--judge", str(tmp_path)]) == 2
+    assert "--judge FOLDER" in capsys.readouterr().err
+
+
 def test_volumes_of_cells_have_a_sign():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
     assert warp.volumes(corners, np.array([[0, 1, 2, 3], [1, 0, 2, 3]])) == pytest.approx([1.0, -1.0])
