@@ -69,6 +69,14 @@ def test_a_start_far_from_the_template_is_one_too(bank, wide):
     assert np.allclose(lampopt.warp(bank, one, there, start=other), around, atol=1e-6)
 
 
+def test_points_far_from_a_start_are_found_by_shorter_steps(bank):
+    """Where the motion dies away its slope misleads; whole steps of Newton's lose some of these points."""
+    one, other = asked(bank, 1.85, 0.75), asked(bank, 1.2, 0.75)
+    points = np.random.default_rng(0).uniform(-1.6, 1.6, (4000, 3)) * [1.85, 0.75, 0.5]
+    there = lampopt.warp(bank, other, points, start=one)
+    assert np.allclose(lampopt.warp(bank, one, there, start=other), points, atol=1e-6)
+
+
 def test_far_points_stay(bank):
     far = np.array([[40.0, 0, 0], [0, -30.0, 5.0]])
     assert np.array_equal(lampopt.warp(bank, asked(bank, 1.6, 0.9), far), far)
