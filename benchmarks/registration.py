@@ -117,9 +117,10 @@ def main(given: Sequence[str] | None = None) -> int:
     talk = Console(stderr=True)
     rivals = args.rival or list(RIVALS)
     try:
+        judge = judge_at(args.judge)
         if any(RIVALS[name] is cpd for name in rivals):
             extra("pycpd")  # told before anything is timed
-        found = table(judge_at(args.judge), args.count, rivals, Plugins.load().report(), talk)
+        found = table(judge, args.count, rivals, Plugins.load().report(), talk)
     except LampoptError as error:
         talk.print("[bold red]error[/bold red]", escape(str(error)), highlight=False)
         return 2
