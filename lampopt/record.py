@@ -28,7 +28,14 @@ from lampopt.database import Reader, said, writable
 from lampopt.errors import InputError
 from lampopt.meshfile import FORMATS
 from lampopt.reading import brief, path_of, why
-from lampopt.rows import read_checks, read_conflicts, read_provenance, read_target, written_checks
+from lampopt.rows import (
+    read_checks,
+    read_conflicts,
+    read_provenance,
+    read_target,
+    written_checks,
+    written_conflicts,
+)
 from lampopt.types import Bank, Design, Mix, Result, Scalar
 from lampopt.written import MeshFile, digest_of, replace_text, write_mesh
 
@@ -131,7 +138,7 @@ class RunFolder:
                     design.mix.residual.tobytes(),
                     design.mix.status,
                     design.mix.message,
-                    json.dumps([[conflict.names, conflict.amounts.tolist()] for conflict in design.mix.conflicts]),
+                    written_conflicts(design.mix.conflicts),
                     written_checks(result.checks),
                     int(result.accepted),
                     json.dumps(dict(result.provenance)),
@@ -293,6 +300,7 @@ def passport(result: Result, bank: Bank) -> dict[str, Any]:
         "target": dict(design.target),
         "status": design.mix.status,
         "message": design.mix.message,
+        "conflicts": [list(conflict.names) for conflict in design.mix.conflicts],
         "predicted": {
             q.name: {"value": float(v), "unit": q.unit} for q, v in zip(bank.space, design.predicted, strict=True)
         },

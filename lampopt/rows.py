@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
@@ -37,8 +38,22 @@ def read_conflicts(text: str) -> tuple[Conflict, ...]:
     """The rows that no mix could meet together. Raises ValueError or TypeError where they are none."""
     found = _expect(list, json.loads(text), "conflicts")
     return tuple(
-        Conflict(tuple(_expect(str, name, "conflict") for name in _expect(list, names, "conflict")), np.array(amounts))
-        for names, amounts in found
+        Conflict(
+            tuple(_expect(str, name, "conflict") for name in _expect(list, names, "conflict")),
+            np.array(amounts),
+            *(np.array([np.nan if v is None else float(v) for v in alone]) for alone in more),
+        )
+        for names, amounts, *more in found
+    )
+
+
+def written_conflicts(conflicts: Sequence[Conflict]) -> str:
+    """What `read_conflicts` reads; a number that is not known as null, as JSON has it."""
+    return json.dumps(
+        [
+            [c.names, c.amounts.tolist(), [None if v != v else "inf" if v == np.inf else v for v in c.alone.tolist()]]
+            for c in conflicts
+        ]
     )
 
 

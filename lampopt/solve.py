@@ -14,7 +14,7 @@ import numpy as np
 from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.protocols import Solver
 from lampopt.reading import brief
-from lampopt.types import Array, Bank, Conflict, Mix, MixBatch, Problem
+from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem
 
 MET = "every target is met"
 
@@ -82,6 +82,7 @@ class Posed:
     active: Array
     rows: tuple[Column, ...]
     size: int
+    limits: tuple[Column, ...] = ()
 
     def normalised(self, targets: Array) -> Array:
         """Targets (B, k) in the user's units → normalised rows."""
@@ -152,7 +153,7 @@ def pose(
         range_high=np.array([float(c.normalised(ranges[c.name][1])) for c in limits]),
         centre=_centre(bank, active, reference),
     )
-    return Posed(problem, active, rows, len(bank))
+    return Posed(problem, active, rows, len(bank), limits)
 
 
 def _matrix(rows: Sequence[Column], active: Array) -> Array:
@@ -229,20 +230,36 @@ def _no_mix(solver: Solver, wanted: type, shape: tuple[int, ...], found: object)
 
 
 def explain(posed: Posed, mix: Mix) -> str:
-    """The status in plain words: for a conflict, the nearest values that the rows can have together."""
+    """The status in plain words: for a conflict, what would agree, and what has to give least alone."""
     if not mix.conflicts:
         return mix.message
     return "; ".join([mix.message, *(_nearest(posed, conflict) for conflict in mix.conflicts)])
 
 
 def _nearest(posed: Posed, conflict: Conflict) -> str:
-    said = []
-    for name, amount in zip(conflict.names, conflict.amounts, strict=True):
-        if name not in posed.problem.names:  # a range
-            said.append(name)
-            continue
-        i = posed.problem.names.index(name)
-        row = posed.rows[i]
-        asked, step = (posed.problem.target[i] + 1) / 2 * row.spread + row.low, amount / 2 * row.spread
-        said.append(f"{name} {asked:.6g} → {asked + step:.6g} {row.unit}".rstrip())
-    return f"{', '.join(said)} would agree"
+    parts = zip(conflict.names, conflict.amounts, strict=True)
+    said = f"{', '.join(_moved(posed, name, amount) for name, amount in parts)} would agree"
+    if (culprit := conflict.culprit) is None or len(conflict.names) == 1:
+        return said
+    alone = float(conflict.alone[conflict.names.index(culprit)])
+    return f"{said}; {_moved(posed, culprit, alone)} alone would be enough"
+
+
+def _moved(posed: Posed, name: str, amount: float) -> str:
+    """One requirement before and after it gave way by `amount` [normalised], in the user's unit."""
+    p = posed.problem
+    if name in p.names:
+        i = p.names.index(name)
+        return _change(posed.rows[i], name, p.target[i], amount)
+    if name in p.range_names and amount:
+        i = p.range_names.index(name)
+        end, limit = ("down to", p.range_low[i]) if amount < 0 else ("up to", p.range_high[i])
+        return _change(posed.limits[i], f"{name} {end}", limit, amount)
+    if name == BOUNDS and amount:
+        return f"{name} wider by {amount:.3g}"
+    return f"{name} {amount:+.3g}" if amount and name not in p.range_names else name
+
+
+def _change(column: Column, name: str, asked: float, amount: float) -> str:
+    at, step = (asked + 1) / 2 * column.spread + column.low, amount / 2 * column.spread
+    return f"{name} {at:.6g} → {at + step:.6g} {column.unit}".rstrip()

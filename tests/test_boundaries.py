@@ -19,7 +19,7 @@ LONGEST = 400  # lines
 LAYERS = (
     {"errors"},
     {"types"},
-    {"units", "topology", "metrics", "intersections", "meshfile", "reading", "protocols", "hookspecs"},
+    {"units", "topology", "metrics", "intersections", "meshfile", "reading", "threads", "protocols", "hookspecs"},
     {"plugins", "lamp", "progress"},
     {"partial"},
     {"fitted"},
@@ -62,6 +62,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.reading",
     "lampopt.testing",
     "lampopt.topology",
+    "lampopt.threads",
     "lampopt.types",
 }
 HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich"}

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from threadpoolctl import ThreadpoolController, threadpool_info, threadpool_limits
 
+from lampopt import threads
 from lampopt.errors import InputError, SolveError
 from lampopt.plugins import Plugins
 from lampopt.testing import solver_checks
@@ -78,21 +79,21 @@ def slsqp(p):
 
 @pytest.mark.parametrize("outside", [1, 2])
 def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside):
-    def threads():
+    def limits():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
     inside, real = [], kkt._solve
-    monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(threads()) or real(*args))
+    monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(limits()) or real(*args))
     with threadpool_limits(outside, "blas"):
         KKT().solve(problem())
-        assert threads() == {outside}
+        assert limits() == {outside}
     assert inside == [{1}]
 
 
 def test_thread_pools_are_looked_for_once(monkeypatch):
     looked = []
-    monkeypatch.setattr(kkt, "ThreadpoolController", lambda: looked.append(1) or ThreadpoolController())
-    kkt._libraries.cache_clear()
+    monkeypatch.setattr(threads, "ThreadpoolController", lambda: looked.append(1) or ThreadpoolController())
+    threads._libraries.cache_clear()
     for seed in range(3):
         KKT().solve(problem(seed))
     assert len(looked) == 1

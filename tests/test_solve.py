@@ -183,7 +183,7 @@ def test_a_unit_that_is_none_leaves_no_blank():
     labels = (Parameter("drag"), Parameter("twice"), Parameter("mass"))
     mix = solve(pose(bank(labels=values, label_space=labels), {"drag": 0.4, "twice": 0.8 + 0.1}), KKT())
     # both rows normalise alike, 0.1 in 1.0 is 0.2 in half ranges; each gives half of it
-    assert mix.message.endswith("drag 0.4 → 0.425, twice 0.9 → 0.85 would agree")
+    assert mix.message.endswith("drag 0.4 → 0.425, twice 0.9 → 0.85 would agree; drag 0.4 → 0.45 alone would be enough")
 
 
 def test_explain_adds_nothing_where_nothing_clashes():
@@ -202,7 +202,7 @@ def test_a_conflict_may_name_a_range():
     posed = pose(bank(), {"width": 1700.0, "length": 2.5}, ranges={"drag": (0.3, 0.4)})
     clash = Conflict(("length", "drag (range)"), np.array([0.5, 0.1]))
     mix = Mix(np.full(4, 1 / 4), np.zeros(2), "infeasible", "cannot", (clash,))
-    assert explain(posed, mix) == "cannot; length 2.5 → 2.75 m, drag (range) would agree"
+    assert explain(posed, mix) == "cannot; length 2.5 → 2.75 m, drag (range) up to 0.4 → 0.405 would agree"
 
 
 def test_the_columns_are_built_once_a_problem(monkeypatch):

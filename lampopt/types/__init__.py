@@ -7,9 +7,10 @@ from lampopt.types.arrays import Array, frozen_array
 from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
-from lampopt.types.problem import Conflict, Mix, MixBatch, Problem, Status
+from lampopt.types.problem import BOUNDS, Conflict, Mix, MixBatch, Problem, Status, Term, called
 
 __all__ = [
+    "BOUNDS",
     "LEVELS",
     "Array",
     "Bank",
@@ -29,5 +30,7 @@ __all__ = [
     "Sense",
     "Spec",
     "Status",
+    "Term",
+    "called",
     "frozen_array",
 ]

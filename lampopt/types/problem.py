@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -12,6 +11,23 @@ from lampopt.errors import InputError
 from lampopt.types.arrays import Array, assign, bounds, frozen_array, unique
 
 Status = Literal["exact", "inexact", "infeasible", "failed"]
+BOUNDS = "bounds on alpha"  # how these are called where they stand in the way
+
+
+@runtime_checkable
+class Term(Protocol):
+    """A value that depends on the mix, and its gradient; None where the gradient is not known.
+
+    It may have a `name`, and a method `symbolic` that takes alpha as a CasADi expression and returns its value as one.
+    """
+
+    def __call__(self, alpha: Array, /) -> tuple[float, Array | None]:
+        """The value at alpha (N,), and its gradient (N,)."""
+
+
+def called(term: Term, otherwise: str) -> str:
+    """The name of a term, or `otherwise`."""
+    return str(getattr(term, "name", otherwise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +56,11 @@ class Problem:
         ≥ 0, or None: the solver's own.
     norm
         1 or 2.
-    objectives, constraints
-        alpha → (value, gradient (N,)): to be minimised (summed); to be kept ≤ 0.
+    objectives, constraints, equalities
+        Terms: to be minimised (summed); to be kept ≤ 0; to be kept at 0.
+    directions
+        (q, N) directions in alpha, each summing to 0, that a search may keep to where all of them are too many; None:
+        no advice. The loop gives those that move one parameter each.
     """
 
     names: tuple[str, ...]
@@ -58,8 +77,10 @@ class Problem:
     centre: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
     ridge: float | None = None
     norm: Literal[1, 2] = 2
-    objectives: tuple[Callable[[Array], tuple[float, Array]], ...] = ()
-    constraints: tuple[Callable[[Array], tuple[float, Array]], ...] = ()
+    objectives: tuple[Term, ...] = ()
+    constraints: tuple[Term, ...] = ()
+    equalities: tuple[Term, ...] = ()
+    directions: Array | None = None
 
     def __post_init__(self) -> None:
         k, r = len(self.names), len(self.range_names)
@@ -84,6 +105,8 @@ class Problem:
         for name in ("alpha_low", "alpha_high"):
             if getattr(self, name) is not None:
                 assign(self, **{name: bounds(getattr(self, name), name, n, 0.0)})
+        if self.directions is not None:
+            assign(self, directions=frozen_array(self.directions, "directions", (None, n)))
         if (self.weight <= 0).any():
             raise InputError(f"weight: expected positive values, got {self.weight.min()}")
         if self.ridge is not None and not (np.isfinite(self.ridge) and self.ridge >= 0):
@@ -96,16 +119,36 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Conflict:
-    """Rows that no alpha can meet together, and how far each would have to give [normalised].
+    """Requirements that no alpha can meet together, and how far they would have to give [normalised].
 
-    Adding `amounts` to these rows' targets is the least change that makes them agree.
+    Parameters
+    ----------
+    names
+        Rows, ranges, terms, or `BOUNDS`.
+    amounts
+        Added to their targets or limits, the least change of all together that makes them agree.
+    alone
+        What each would have to give alone, all else that is asked kept; infinite where that is of no use. By default
+        not known: NaN.
     """
 
     names: tuple[str, ...]
     amounts: Array
+    alone: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
 
     def __post_init__(self) -> None:
-        assign(self, amounts=frozen_array(self.amounts, "amounts", (len(self.names),)))
+        k = len(self.names)
+        alone = np.full(k, np.nan) if self.alone is None else np.array(self.alone, float)
+        alone.setflags(write=False)
+        assign(self, amounts=frozen_array(self.amounts, "amounts", (k,)), alone=alone)
+        if alone.shape != (k,):
+            raise InputError(f"alone: expected {k} numbers, got shape {alone.shape}")
+
+    @property
+    def culprit(self) -> str | None:
+        """What alone has to give least for all else that is asked to be met; None where no one alone is enough."""
+        size = np.abs(self.alone)
+        return self.names[int(np.nanargmin(size))] if np.isfinite(size).any() else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,13 +13,12 @@ thousands are one call. Least norm where rows leave freedom (Moore-Penrose).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from scipy.linalg import null_space
-from threadpoolctl import ThreadpoolController
 
 from lampopt.errors import InputError, SolveError
+from lampopt.threads import one_thread
 from lampopt.types import Array, Conflict, Mix, MixBatch, Problem, Status
 
 RANK = 1e-10  # singular values below this part of the largest count as zero
@@ -62,14 +61,8 @@ class KKT:
         each = np.full(len(targets), ridge) if ridges is None else np.asarray(ridges, float)
         if each.shape != (len(targets),) or not (np.isfinite(each) & (each >= 0)).all():
             raise InputError(f"ridges: expected {len(targets)} numbers of at least 0, got {ridges!r}")
-        with _libraries().limit(limits=1, user_api="blas"):  # matrices this small lose orders of magnitude to threads
+        with one_thread():
             return _solve(problem, targets, each)
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """The thread pools of this process, looked for once: that takes ten times as long as a solve."""
-    return ThreadpoolController()
 
 
 def _refuse(problem: Problem) -> None:
@@ -130,13 +123,19 @@ def _conflicts(problem: Problem) -> tuple[Conflict, ...]:
     """
     centred = problem.matrix - problem.matrix.mean(1, keepdims=True)
     gap = problem.target - problem.matrix @ problem.centre
-    found = []
-    for vector in _echelon(null_space(centred.T, rcond=RANK).T):
+    found, left = [], null_space(centred.T, rcond=RANK)
+    demanded = left.T @ gap  # of all rows together: one row alone mends it where its part of `left` points there
+    scale = MET * (1 + np.abs(problem.target).max())
+    for vector in _echelon(left.T):
         size = np.abs(vector).max()
         rows = np.flatnonzero(np.abs(vector) > 1e-6 * size)
         amount = -(vector[rows] @ gap[rows]) / (vector[rows] @ vector[rows]) * vector[rows]
-        if np.abs(amount).max() > MET * (1 + np.abs(problem.target).max()):
-            found.append(Conflict(tuple(problem.names[i] for i in rows), amount))
+        if np.abs(amount).max() > scale:
+            part, alone = left[rows], np.full(len(rows), np.inf)
+            step = -(part @ demanded) / (part**2).sum(1)
+            enough = np.abs(demanded + step[:, None] * part).max(1) <= scale
+            alone[enough] = step[enough]
+            found.append(Conflict(tuple(problem.names[i] for i in rows), amount, alone))
     return tuple(found)
 
 

@@ -1,0 +1,181 @@
+"""Least squares over alpha with equalities and inequalities.
+
+Equalities go first: alpha = start + basis·y, with basis an orthonormal null space, so that they hold exactly. Where
+the least squares that are left meet the inequalities, they are the answer; else a quadratic program (HiGHS or
+IPOPT, through CasADi) tells which inequalities hold with equality, and those join the equalities, to machine precision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+import numpy as np
+from scipy.linalg import null_space
+
+from lampopt.errors import SolveError
+from lampopt.types import Array
+
+RANK = 1e-10  # singular values below this part of the largest count as zero
+ACTIVE = 1e-6  # an inequality this near to its limit may hold with equality
+METHODS: dict[str, dict[str, Any]] = {  # the second where the first, an active set, gives up
+    "highs": {
+        "highs": {"output_flag": False, "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
+    },
+    "nlpsol": {
+        "nlpsol": "ipopt",
+        "nlpsol_options": {
+            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-11, "bound_relax_factor": 0.0, "max_iter": 500},
+            "print_time": False,
+            "error_on_fail": False,
+        },
+    },
+}
+EXACT = 1e-9  # what the polished answer may be off a limit, or worse than the program's
+
+
+@dataclass(frozen=True, eq=False)
+class Inequalities:
+    """low ≤ rows·alpha ≤ high, with rows (m, N)."""
+
+    rows: Array
+    low: Array
+    high: Array
+
+    def worst(self, alpha: Array) -> float:
+        """How far alpha is beyond the farthest limit."""
+        values = self.rows @ alpha
+        return float(np.maximum(self.low - values, values - self.high).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Equalities:
+    """rows·alpha = values, with rows (e, N)."""
+
+    rows: Array
+    values: Array
+
+    def free(self, near: Array) -> tuple[Array, Array]:
+        """The point nearest to `near` that meets them (N,), and an orthonormal basis (N, q) of what stays free."""
+        step = np.linalg.lstsq(self.rows, self.values - self.rows @ near, rcond=RANK)[0]
+        return near + step, np.asarray(null_space(self.rows, rcond=RANK))
+
+    def joined(self, rows: Array, values: Array) -> Equalities:
+        """These and others."""
+        return Equalities(np.vstack([self.rows, rows]), np.concatenate([self.values, values]))
+
+
+@dataclass(frozen=True, eq=False)
+class Squares:
+    """Σ weight·(rows·alpha − target)² + ridge·‖alpha − centre‖², or ridge·Σ|alpha − centre| where `norm` is 1."""
+
+    rows: Array
+    target: Array
+    weight: Array
+    ridge: float
+    centre: Array
+    norm: int = 2
+
+    def __call__(self, alpha: Array) -> float:
+        """The value at alpha."""
+        off, apart = self.rows @ alpha - self.target, alpha - self.centre
+        away = apart @ apart if self.norm == 2 else np.abs(apart).sum()
+        return float(self.weight @ off**2 + self.ridge * away)
+
+    def least(self, equal: Equalities) -> Array:
+        """Where it is least among what meets the equalities, and of all such alpha the nearest to the centre."""
+        start, basis = equal.free(self.centre)
+        root = np.sqrt(self.weight)[:, None]
+        damp = np.sqrt(self.ridge)
+        system = np.vstack([root * self.rows @ basis, damp * np.eye(basis.shape[1])])
+        gap = np.concatenate([root[:, 0] * (self.target - self.rows @ start), np.zeros(basis.shape[1])])
+        size = np.linalg.norm(root * self.rows, axis=1).max(initial=0.0)
+        keep = _above(system, RANK * size)  # what hard rows leave of a row may be noise
+        return np.asarray(start + basis @ (np.linalg.pinv(system, rcond=keep) @ gap))
+
+
+def _above(system: Array, least: float) -> float:
+    """The relative cutoff of singular values that is `least` in size."""
+    largest = np.linalg.norm(system, 2) if system.size else 0.0
+    return max(RANK, float(least / largest)) if largest > 0 else RANK
+
+
+def least_squares(squares: Squares, equal: Equalities, within: Inequalities) -> Array:
+    """Where `squares` is least among what meets both; nearest to the centre where that leaves freedom.
+
+    Raises
+    ------
+    SolveError
+        If the quadratic program has no solution: whether there is one is to be told beforehand.
+    """
+    if squares.norm == 2:
+        alpha = squares.least(equal)
+        if within.worst(alpha) <= EXACT:
+            return alpha
+    alpha = _program(squares, equal, within)
+    if squares.ridge == 0:
+        rows = equal.joined(squares.rows, squares.rows @ alpha)
+        alpha = _program(Squares(squares.rows[:0], squares.target[:0], squares.weight[:0], 1.0, squares.centre,
+                                 squares.norm), rows, within, alpha)  # fmt: skip
+    return _polished(squares, equal, within, alpha) if squares.norm == 2 else alpha
+
+
+def _polished(squares: Squares, equal: Equalities, within: Inequalities, alpha: Array) -> Array:
+    values = within.rows @ alpha
+    at_low, at_high = values - within.low <= ACTIVE, within.high - values <= ACTIVE
+    active = at_low | at_high
+    limits = np.where(at_low, within.low, within.high)[active]
+    better = squares.least(equal.joined(within.rows[active], limits))
+    same = squares(better) <= squares(alpha) + EXACT * (1 + squares(alpha))
+    return better if within.worst(better) <= EXACT and same else alpha
+
+
+def _program(squares: Squares, equal: Equalities, within: Inequalities, start: Array | None = None) -> Array:
+    """By HiGHS, in what the equalities leave free; in norm 1 with alpha − centre as the difference of two parts."""
+    near, basis = equal.free(squares.centre if start is None else start)
+    n, q = basis.shape
+    rows = squares.rows @ basis
+    hessian = 2 * rows.T @ (squares.weight[:, None] * rows)
+    linear = 2 * rows.T @ (squares.weight * (squares.rows @ near - squares.target))
+    a, base = within.rows @ basis, within.rows @ near
+    low, high = within.low - base, within.high - base
+    box = np.full(q, np.inf)
+    if squares.norm == 2:
+        hessian = hessian + 2 * squares.ridge * np.eye(q)
+        linear = linear + 2 * squares.ridge * basis.T @ (near - squares.centre)
+        y = quadratic_program(hessian, linear, a, low, high, -box, box)
+    else:
+        hessian = np.pad(hessian, ((0, 2 * n), (0, 2 * n)))
+        linear = np.concatenate([linear, np.full(2 * n, squares.ridge)])
+        parts = np.hstack([basis, -np.eye(n), np.eye(n)])
+        a = np.vstack([np.pad(a, ((0, 0), (0, 2 * n))), parts])
+        gap = squares.centre - near
+        low, high = np.concatenate([low, gap]), np.concatenate([high, gap])
+        y = quadratic_program(
+            hessian, linear, a, low, high, np.append(-box, np.zeros(2 * n)), np.append(box, np.full(2 * n, np.inf))
+        )[:q]
+    return np.asarray(near + basis @ y)
+
+
+def quadratic_program(
+    hessian: Array, linear: Array, rows: Array, low: Array, high: Array, x_low: Array, x_high: Array
+) -> Array:
+    """Least ½ xᵀ hessian x + linearᵀ x with low ≤ rows·x ≤ high and x_low ≤ x ≤ x_high.
+
+    Raises
+    ------
+    SolveError
+        If none is found.
+    """
+    if not len(linear):
+        return np.zeros(0)
+    shape = {"h": casadi.Sparsity.dense(*hessian.shape), "a": casadi.Sparsity.dense(*rows.shape)}
+    given = {"h": hessian, "g": linear, "a": rows, "lba": low, "uba": high, "lbx": x_low, "ubx": x_high}
+    for name, settings in METHODS.items():
+        program = casadi.conic("program", name, shape, {"error_on_fail": False, **settings})
+        found = program(**given)
+        x = np.asarray(found["x"], float).ravel()
+        if program.stats()["success"] and np.isfinite(x).all():
+            return x
+    raise SolveError(f"solver 'casadi': its quadratic program failed: {program.stats()['return_status']}")

@@ -1,0 +1,88 @@
+"""What is asked in one problem, by the program that it needs: least squares, a quadratic or a nonlinear program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampopt.errors import InputError
+from lampopt.threads import one_thread
+from lampopt.types import Array, Mix, MixBatch, Problem
+
+from .nonlinear import Nonlinear
+from .quadratic import Squares, least_squares
+from .requirements import MET, Requirements
+from .words import held_off, infeasible
+
+
+@dataclass(frozen=True)
+class CasADi:
+    """Targets, ranges, bounds on alpha, either norm, and terms: objectives, constraints, equalities.
+
+    Parameters
+    ----------
+    ridge
+        Weight of ‖alpha − centre‖² (‖alpha − centre‖₁ in norm 1) where the problem names none (paper, appendix P).
+    iterations
+        At most so many of IPOPT.
+    """
+
+    ridge: float = 0.0
+    iterations: int = 500
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.ridge) and self.ridge >= 0):
+            raise InputError(f"ridge: expected a number of at least 0, got {self.ridge}")
+        if self.iterations < 1:
+            raise InputError(f"iterations: expected at least 1, got {self.iterations}")
+
+    def solve(self, problem: Problem) -> Mix:
+        """The mix; what cannot be met comes back as conflicts, with the alpha that comes nearest.
+
+        Raises
+        ------
+        SolveError
+            If a term has no gradient: `nlopt` can do without.
+        """
+        problem = replace(problem, ridge=self.ridge if problem.ridge is None else problem.ridge)
+        with one_thread():
+            return self._solve(problem)
+
+    def solve_many(self, problem: Problem, targets: Array, ridges: Array | None = None) -> MixBatch:
+        """The mixes for targets (B, k), one ridge (B,) each if given, one after the other."""
+        targets = np.asarray(targets, float)
+        k = len(problem.names)
+        if targets.ndim != 2 or targets.shape[1] != k:
+            raise InputError(f"targets: expected shape (B, {k}), got {targets.shape}")
+        if ridges is not None and np.shape(ridges) != (len(targets),):
+            raise InputError(f"ridges: expected {len(targets)} numbers, got {ridges!r}")
+        each = [problem.ridge] * len(targets) if ridges is None else [float(ridge) for ridge in ridges]
+        mixes = [self.solve(replace(problem, target=t, ridge=r)) for t, r in zip(targets, each, strict=True)]
+        return MixBatch(
+            np.reshape([mix.alpha for mix in mixes], (len(targets), len(problem.centre))),
+            np.reshape([mix.residual for mix in mixes], (len(targets), k)),
+            tuple(mix.status for mix in mixes),
+        )
+
+    def _solve(self, problem: Problem) -> Mix:
+        must = Requirements.of(problem, soft=False)
+        if not must.met:
+            amounts, wider = must.give()
+            must = must.relaxed(amounts).widened(wider)
+        soft = ~problem.hard
+        squares = Squares(
+            problem.matrix[soft], problem.target[soft], problem.weight[soft], problem.ridge or 0.0, problem.centre,
+            problem.norm,
+        )  # fmt: skip
+        alpha = least_squares(squares, *must.parts())
+        if problem.objectives or problem.constraints or problem.equalities:
+            return Nonlinear(problem, must, squares, self.iterations).solve(alpha)
+        alpha = alpha + (1 - alpha.sum()) / len(alpha)
+        residual = problem.matrix @ alpha - problem.target
+        asked = Requirements.of(problem, soft=True)
+        if np.abs(asked.off(alpha)).max(initial=0.0) <= MET * (1 + np.abs(problem.target).max(initial=0.0)):
+            return Mix(alpha, residual, "exact", "every target is met")
+        if asked.met:
+            return Mix(alpha, residual, "inexact", held_off(problem, residual))
+        return infeasible(alpha, residual, asked.conflicts())
