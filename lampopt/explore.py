@@ -195,6 +195,7 @@ def _intervals(task: Task, result: Result, posed: Posed, progress: Progress) -> 
     movable = {q.name: values[q.name] for q in task.bank.space if q.spread > 0}
     known = columns(task.bank)
     if by := _failed(result):  # a rejected design has no neighbourhood that would be safe
+        progress(1.0, f"the design itself is rejected by {by}")
         return tuple(SafeInterval(name, known[name].unit, v, v, v, by, by) for name, v in movable.items())
     failing, found = _judged(task, posed, result.design.mix, movable), []
     for i, (name, value) in enumerate(movable.items()):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MOST = 10  # free directions that people are shown; programs get all
 NAMED = 3  # exemplars of each
+NOISE = 1e-9  # part of a range, or of the largest coefficient, that is shown as nothing
 
 
 @click.command(cls=Command)
@@ -71,18 +72,12 @@ def _document(found: Exploration, bank: Bank) -> dict[str, Any]:
 
 
 def _shown(found: Exploration, bank: Bank) -> list[RenderableType]:
-    ranges = {q.name: span(q.low, q.high) for q in bank.space}
-    rows = [
-        (
-            one.name,
-            *(number(v) for v in (one.value, one.low, one.high)),
-            one.unit,
-            one.low_by,
-            one.high_by,
-            ranges[one.name],
-        )
-        for one in found.intervals
-    ]
+    space = {q.name: q for q in bank.space}
+    rows = []
+    for one in found.intervals:
+        q = space[one.name]
+        values = (number(v if abs(v) > NOISE * q.spread else 0.0) for v in (one.value, one.low, one.high))
+        rows.append((one.name, *values, one.unit, one.low_by, one.high_by, span(q.low, q.high)))
     heads = ("parameter", "value", "from", "to", "unit", "ended below by", "above by", "in the bank")
     shown: list[RenderableType] = [table("each parameter alone", heads, rows, right=heads[1:4])]
     if len(found.free):
@@ -105,7 +100,8 @@ def _shown(found: Exploration, bank: Bank) -> list[RenderableType]:
 
 def _most(alpha: Array, bank: Bank) -> str:
     """The exemplars that take the largest part in a direction."""
-    first = np.argsort(-np.abs(alpha), kind="stable")[:NAMED]
+    parts = np.abs(alpha)
+    first = [i for i in np.argsort(-parts, kind="stable")[:NAMED] if parts[i] > NOISE * parts.max()]
     return ", ".join(f"{bank.names[i]} {alpha[i]:+.3g}" for i in first)
 
 
