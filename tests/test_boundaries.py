@@ -45,7 +45,7 @@ LAYERS = (
     {"task"},
     {"workers"},
     {"reporting"},
-    {"motion"},
+    {"explore", "motion"},
     {"loop"},
     {"lampopt", "cli", "testing"},
 )

@@ -17,6 +17,7 @@ from lampopt.cli.answer import CRASHED, INTERRUPTED, VERBOSE, WRONG, Group, logg
 from lampopt.cli.bank import bank
 from lampopt.cli.compare import compare
 from lampopt.cli.designs import make, run, sweep
+from lampopt.cli.explore import explore
 from lampopt.cli.intake import intake, wrap
 from lampopt.cli.learn import model, surrogate
 from lampopt.cli.measure import measure
@@ -49,6 +50,7 @@ for command in (
     make,
     run,
     sweep,
+    explore,
     report,
     sensitivities,
     check_plugin,
