@@ -142,6 +142,11 @@ def pose(
     for low, high in ranges.values():
         if not low <= high:
             raise StudyError(f"ranges: expected low ≤ high, got {low:g} to {high:g}")
+    asked = {c.name for c in (*rows, *limits)}
+    asked |= {parameter for parameter, address in bank.measured_by.items() if address in asked}
+    parameters = [names[q.name] for q in bank.space if names[q.name].spread > 0]
+    # "This car, roof lower": nothing but the roof moves. A label cannot move if no parameter does.
+    alone = reference is not None and not asked & {q.name for q in bank.label_space}
     problem = Problem(
         names=tuple(c.name for c in rows),
         matrix=_matrix(rows, active),
@@ -152,12 +157,19 @@ def pose(
         range_low=np.array([float(c.normalised(ranges[c.name][0])) for c in limits]),
         range_high=np.array([float(c.normalised(ranges[c.name][1])) for c in limits]),
         centre=_centre(bank, active, reference),
+        still=_matrix([c for c in parameters if c.name not in asked] if alone else [], active),
+        directions=_directions(_matrix(parameters, active)),
     )
     return Posed(problem, active, rows, len(bank), limits)
 
 
 def _matrix(rows: Sequence[Column], active: Array) -> Array:
     return np.array([c.normalised(c.values[active]) for c in rows]).reshape(len(rows), len(active))
+
+
+def _directions(matrix: Array) -> Array:
+    """(d, N) the least changes of alpha that move one parameter each by half of its range; from matrix (d, N)."""
+    return np.asarray(np.linalg.pinv(matrix - matrix.mean(1, keepdims=True), rcond=1e-10).T)
 
 
 def _centre(bank: Bank, active: Array, reference: str | None) -> Array:

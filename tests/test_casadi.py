@@ -122,6 +122,37 @@ def test_a_range_that_does_not_press_costs_nothing():
     assert CasADi().solve(p).alpha == pytest.approx(closed.alpha, abs=1e-12)
 
 
+@SEEDS
+@pytest.mark.parametrize("ridge", [0.0, 0.1])
+def test_what_should_be_still_moves_least(seed, ridge):
+    """Both solvers; as hard rows would have it where there is freedom enough, as least squares where there is not."""
+    free = {"range_names": (), "range_matrix": None, "range_low": None, "range_high": None}
+    p = problem(seed, **free, alpha_low=None, alpha_high=None, ridge=ridge)
+    still = np.random.default_rng(seed).uniform(-1, 1, (9, 12))
+    for rows in (still[:3], still):
+        asked = replace(p, still=rows)
+        closed = KKT().solve(asked)
+        assert CasADi().solve(asked).alpha == pytest.approx(closed.alpha, abs=1e-8)
+        assert closed.residual == pytest.approx(KKT().solve(p).residual, abs=1e-9)
+        moved = rows @ (closed.alpha - p.centre)
+        if len(rows) == 3:
+            assert moved == pytest.approx(np.zeros(3), abs=1e-9)
+        else:
+            exact = np.vstack([np.ones(12), p.matrix])
+            start = closed.alpha
+            basis = np.linalg.svd(exact)[2][5:].T
+            better = np.linalg.lstsq(rows @ basis, -rows @ (start - p.centre), rcond=None)[0]
+            assert np.abs(rows @ basis @ better).max() < 1e-8  # nothing is left to gain
+
+
+def test_ranges_come_before_what_should_be_still():
+    row = np.array([[-1.0, 0.0, 0.5, 1.0], [1.0, -1.0, 0.0, 0.4]])
+    p = Problem((), np.empty((0, 4)), np.empty(0), ridge=0.0, still=row[:1], range_names=("q (range)",),
+                range_matrix=row[1:], range_low=np.array([0.5]), range_high=np.array([np.inf]))  # fmt: skip
+    alpha = CasADi().solve(p).alpha
+    assert row @ alpha == pytest.approx([row[0].mean(), 0.5], abs=1e-8)
+
+
 # What cannot be had
 
 

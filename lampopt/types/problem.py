@@ -36,7 +36,8 @@ class Problem:
 
     Minimise Σ weight·(matrix·alpha − target)² + ridge·‖alpha − centre‖ (squared where `norm` is 2), subject to
     1ᵀalpha = 1, hard rows exactly, range_low ≤ range_matrix·alpha ≤ range_high, alpha_low ≤ alpha ≤ alpha_high
-    (paper, equation (1) and appendix P). Where that leaves freedom, ‖alpha − centre‖ is least.
+    (paper, equation (1) and appendix P). Where that leaves freedom, ‖still·(alpha − centre)‖ is least, then
+    ‖alpha − centre‖.
 
     Parameters
     ----------
@@ -56,6 +57,8 @@ class Problem:
         ≥ 0, or None: the solver's own.
     norm
         1 or 2.
+    still
+        (s, N) rows that nobody asked for and that should not move either: a solver may take no notice of them.
     objectives, constraints, equalities
         Terms: to be minimised (summed); to be kept ≤ 0; to be kept at 0.
     directions
@@ -77,6 +80,7 @@ class Problem:
     centre: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
     ridge: float | None = None
     norm: Literal[1, 2] = 2
+    still: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
     objectives: tuple[Term, ...] = ()
     constraints: tuple[Term, ...] = ()
     equalities: tuple[Term, ...] = ()
@@ -102,6 +106,7 @@ class Problem:
             range_high=bounds(self.range_high, "range_high", r, np.inf),
             centre=frozen_array(np.full(n, 1 / n) if self.centre is None else self.centre, "centre", (n,)),
         )
+        assign(self, still=frozen_array(np.empty((0, n)) if self.still is None else self.still, "still", (None, n)))
         for name in ("alpha_low", "alpha_high"):
             if getattr(self, name) is not None:
                 assign(self, **{name: bounds(getattr(self, name), name, n, 0.0)})

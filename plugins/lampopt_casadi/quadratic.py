@@ -68,7 +68,10 @@ class Equalities:
 
 @dataclass(frozen=True, eq=False)
 class Squares:
-    """Σ weight·(rows·alpha − target)² + ridge·‖alpha − centre‖², or ridge·Σ|alpha − centre| where `norm` is 1."""
+    """Σ weight·(rows·alpha − target)² + ridge·‖alpha − centre‖², or ridge·Σ|alpha − centre| where `norm` is 1.
+
+    Where that leaves freedom, still·alpha stays nearest to still·centre, then alpha to the centre.
+    """
 
     rows: Array
     target: Array
@@ -76,6 +79,7 @@ class Squares:
     ridge: float
     centre: Array
     norm: int = 2
+    still: Array | None = None
 
     def __call__(self, alpha: Array) -> float:
         """The value at alpha."""
@@ -92,7 +96,24 @@ class Squares:
         gap = np.concatenate([root[:, 0] * (self.target - self.rows @ start), np.zeros(basis.shape[1])])
         size = np.linalg.norm(root * self.rows, axis=1).max(initial=0.0)
         keep = _above(system, RANK * size)  # what hard rows leave of a row may be noise
-        return np.asarray(start + basis @ (np.linalg.pinv(system, rcond=keep) @ gap))
+        alpha = np.asarray(start + basis @ (np.linalg.pinv(system, rcond=keep) @ gap))
+        if (settled := self.settled(alpha)) is None:
+            return alpha
+        start, basis = equal.joined(self.rows, self.rows @ alpha).free(alpha)
+        rows = settled.rows @ basis
+        size = np.linalg.norm(settled.rows, axis=1).max()
+        return np.asarray(start + basis @ (np.linalg.pinv(rows, rcond=_above(rows, RANK * size)) @ settled.off(start)))
+
+    def off(self, alpha: Array) -> Array:
+        """What the rows lack at alpha."""
+        return np.asarray(self.target - self.rows @ alpha)
+
+    def settled(self, alpha: Array) -> Squares | None:
+        """What is to be least next, with these rows as they are at `alpha`: the movement of what should stay still."""
+        if self.still is None or not len(self.still):
+            return None
+        rows = self.still - self.still.mean(1, keepdims=True)
+        return Squares(rows, rows @ self.centre, np.ones(len(rows)), 0.0, self.centre, self.norm)
 
 
 def _above(system: Array, least: float) -> float:
@@ -114,6 +135,9 @@ def least_squares(squares: Squares, equal: Equalities, within: Inequalities) -> 
         if within.worst(alpha) <= EXACT:
             return alpha
     alpha = _program(squares, equal, within)
+    if (settled := squares.settled(alpha)) is not None:
+        equal, squares = equal.joined(squares.rows, squares.rows @ alpha), settled
+        alpha = _program(squares, equal, within, alpha)
     if squares.ridge == 0:
         rows = equal.joined(squares.rows, squares.rows @ alpha)
         alpha = _program(Squares(squares.rows[:0], squares.target[:0], squares.weight[:0], 1.0, squares.centre,

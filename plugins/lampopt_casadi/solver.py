@@ -74,6 +74,7 @@ class CasADi:
         squares = Squares(
             problem.matrix[soft], problem.target[soft], problem.weight[soft], problem.ridge or 0.0, problem.centre,
             problem.norm,
+            problem.still,
         )  # fmt: skip
         alpha = least_squares(squares, *must.parts())
         if problem.objectives or problem.constraints or problem.equalities:

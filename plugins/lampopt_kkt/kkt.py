@@ -5,8 +5,9 @@ constraint is then gone, and what is left has the size of the rows, not of the b
 
     hard rows first:   beta₀ = H̃⁺ (t_H − H centre),
     then the others:   min ‖V½ (M̃ (beta₀ + γ) − r)‖² + ridge ‖γ‖²,   γ in the null space of H̃,
+    then what is still: min ‖S̃ (beta₁ + δ)‖²,   δ in the null space of M̃,
 
-both by one singular value decomposition of a (k, N) matrix. Each target after that costs a matrix product, so
+each by one singular value decomposition of a (k, N) matrix. Each target after that costs a matrix product, so
 thousands are one call. Least norm where rows leave freedom (Moore-Penrose).
 """
 
@@ -103,6 +104,8 @@ def _solve(problem: Problem, targets: Array, ridges: Array) -> MixBatch:
     u, s, vt = u[:, real], s[real], vt[real]
     rest = (gap[:, ~hard] - beta @ centred[~hard].T) * root
     beta = beta + (rest @ u * (s / (s**2 + ridges[:, None]))) @ vt
+    if len(problem.still):
+        beta = beta + _settled(problem, centred, beta)
     alpha = problem.centre + beta
     alpha += (1 - alpha.sum(1, keepdims=True)) / alpha.shape[1]
     residual = alpha @ problem.matrix.T - targets
@@ -114,6 +117,16 @@ def _solve(problem: Problem, targets: Array, ridges: Array) -> MixBatch:
         "infeasible" if c else "inexact" if m else "exact" for c, m in zip(clash, missed, strict=True)
     )
     return MixBatch(alpha, residual, status)
+
+
+def _settled(problem: Problem, centred: Array, beta: Array) -> Array:
+    """What to add to beta (B, N) for the still rows to move least, without moving a row that is asked for."""
+    still = problem.still - problem.still.mean(1, keepdims=True)
+    _, _, rows = _decompose(centred)
+    free = still - still @ rows.T @ rows
+    u, s, vt = _decompose(free)
+    real = s > RANK * np.linalg.norm(still) if len(s) else np.zeros(0, bool)
+    return np.asarray(-(beta @ still.T @ u[:, real] / s[real]) @ vt[real])
 
 
 def _conflicts(problem: Problem) -> tuple[Conflict, ...]:
