@@ -7,6 +7,7 @@ from lampopt.exemplars import exemplars
 from lampopt.explore import Exploration, SafeInterval, explore
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
+from lampopt.goals import Linear, Maximise, Minimise, Reduce
 from lampopt.hookspecs import hookimpl
 from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
@@ -15,7 +16,7 @@ from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.motion import Sensitivities, sensitivities, template_of, warp
 from lampopt.recommend import Compared, Comparison
 from lampopt.residuals import Residual, residuals
-from lampopt.study import Reduce, Study
+from lampopt.study import Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
 __all__ = [
@@ -27,6 +28,9 @@ __all__ = [
     "Exemplars",
     "Exploration",
     "Frame",
+    "Linear",
+    "Maximise",
+    "Minimise",
     "Mix",
     "Parameter",
     "Problem",

@@ -101,20 +101,26 @@ def _met(name: str, off: Array, limits: Limits, note: str) -> Check:
     return Check(name, float(np.abs(off).max(initial=0.0)), "<=", limits[name], "half range", "alpha", note)
 
 
-def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tuple[Array, Array]:
+def mismatches(
+    bank: Bank, decoder: Decoder, alpha: Array, weights: Array, chosen: Array | None = None
+) -> tuple[Array, Array]:
     """The linearity mismatch over all probes and over those within `BAND` of the surface (...,) [box].
 
     The mean of |f(z; Wᵀalpha) − Σ alpha_i f(z; w_i)| (paper, section 3), with f(z; w_i) stored in the bank: one
     forward pass and one product in place of N + 1 passes. The band's is NaN for decoders whose values are no
-    distances (C > 1), or where no probe is near. Takes alpha (..., N) with weights (..., D).
+    distances (C > 1), or where no probe is near. Takes alpha (..., N) with weights (..., D), and which probes count;
+    None: all.
 
     Raises
     ------
     BankError
         If the decoder answers in another shape than it did when the bank was built.
     """
-    mixed = np.asarray(decoder.evaluate(bank.shared, weights, bank.probes), float)
-    linear = np.tensordot(alpha, bank.probe_values, 1)
+    probes, values = bank.probes, bank.probe_values
+    if chosen is not None and not chosen.all():
+        probes, values = probes[chosen], values[:, chosen]
+    mixed = np.asarray(decoder.evaluate(bank.shared, weights, probes), float)
+    linear = np.tensordot(alpha, values, 1)
     if mixed.shape != linear.shape:
         raise BankError(
             f"decoder {bank.decoder.name!r}: expected values of shape {linear.shape} at the probes, as when the bank "
@@ -143,10 +149,12 @@ def linearity_checks(found: Sequence[float], limits: Limits) -> list[Check]:
     ]
 
 
-def field_checks(bank: Bank, decoder: Decoder, design: Design, limits: Limits) -> list[Check]:
-    """What the decoder's values at the probes tell, without a mesh."""
+def field_checks(
+    bank: Bank, decoder: Decoder, design: Design, limits: Limits, chosen: Array | None = None
+) -> list[Check]:
+    """What the decoder's values at the probes, or at those `chosen` (M,), tell, without a mesh."""
     alpha = design.mix.alpha
-    found = (*mismatches(bank, decoder, alpha, design.weights), deviations(bank, decoder, alpha))
+    found = (*mismatches(bank, decoder, alpha, design.weights, chosen), deviations(bank, decoder, alpha))
     return linearity_checks([float(value) for value in found], limits)
 
 

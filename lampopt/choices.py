@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from lampopt.errors import InputError, StudyError
-from lampopt.protocols import Measure
+from lampopt.protocols import Measure, Model
 from lampopt.types import Scalar, Spec
 from lampopt.units import said
 
@@ -80,6 +80,29 @@ def written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict
         options = _absolute(choice).options if isinstance(choice, Spec) else {"of": _class(choice)}
         found[name] = {"name": choice.name if isinstance(choice, Spec) else GIVEN, **options}
     return found
+
+
+def models_of(given: object) -> Mapping[str, str | Model]:
+    """Models by the name under which their values can be asked for: files, or objects."""
+    found: dict[str, str | Model] = {}
+    for name, choice in table_of(given, "models").items():
+        if "." in name or not name:
+            raise StudyError(f"models: expected a name without dots, for values are called name.value, got {name!r}")
+        if isinstance(choice, str | Path):
+            found[name] = str(choice)
+        elif isinstance(choice, Model) and not isinstance(choice, type):
+            found[name] = choice
+        else:
+            raise StudyError(f"models: {name}: expected the file of a model, or a model, got {said(choice)}")
+    return MappingProxyType(found)
+
+
+def written_models(models: Mapping[str, str | Model]) -> dict[str, str]:
+    """For TOML: files from the current folder; an object by its class, which cannot be made again from it."""
+    return {
+        name: str(Path.cwd() / choice) if isinstance(choice, str) else f"<{_class(choice)}>"
+        for name, choice in models.items()
+    }
 
 
 def beside(choice: Spec, folder: Path | None) -> Spec:

@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING
 from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
+from lampopt.goals import Objective
 from lampopt.measured import values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Measure, Progress
 from lampopt.reading import path_of, why
 from lampopt.record import RunFolder, recorded
-from lampopt.study import Reduce, Study, Value
+from lampopt.study import Study, Value
 from lampopt.task import Designer, Task, whole
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
@@ -62,7 +63,7 @@ def design(
     *,
     keep: Sequence[str] = (),
     reference: str | None = None,
-    objective: Reduce | None = None,
+    objective: Objective | None = None,
     solver: str | Spec = "kkt",
     measures: Sequence[str] | Mapping[str, str | Spec | Measure] = (),
     limits: Mapping[str, float] | None = None,
