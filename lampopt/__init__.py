@@ -4,6 +4,7 @@ from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
 from lampopt.exemplars import exemplars
+from lampopt.experiments import Experiments, experiments
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
 from lampopt.hookspecs import hookimpl
@@ -24,6 +25,7 @@ __all__ = [
     "Comparison",
     "Design",
     "Exemplars",
+    "Experiments",
     "Frame",
     "Mix",
     "Parameter",
@@ -40,6 +42,7 @@ __all__ = [
     "compare",
     "design",
     "exemplars",
+    "experiments",
     "extrapolation_volume",
     "fit_model",
     "fit_surrogate",

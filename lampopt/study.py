@@ -6,15 +6,27 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
-from lampopt.choices import beside, measures_of, names_of, spec_of, table_of, written_measures
+from lampopt.choices import (
+    Value,
+    beside,
+    is_value,
+    measures_of,
+    names_of,
+    native,
+    spec_of,
+    table_of,
+    value_list,
+    value_pair,
+    written_measures,
+)
 from lampopt.errors import InputError, StudyError
+from lampopt.experiments import Experiments
 from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
 from lampopt.protocols import Measure
@@ -23,7 +35,6 @@ from lampopt.solve import column
 from lampopt.types import LEVELS, Bank, Needs, Spec
 from lampopt.units import number, said
 
-Value = float | str
 LARGEST = 2**22  # bytes of a study: 100,000 values of a sweep take three quarters of it
 # A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
@@ -39,7 +50,7 @@ class Reduce:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise StudyError(f"Reduce: expected the name of a label, got {said(self.name)}")
-        by = _native(self.by)
+        by = native(self.by)
         if isinstance(by, bool) or not isinstance(by, int | float) or not -10 < by < 1:
             raise StudyError(
                 f"Reduce({self.name!r}): expected `by` as a fraction below 1, such as 0.10, got {said(self.by)}"
@@ -81,7 +92,9 @@ class Study:
     resolution
         Cells along the decoder's box.
     sweep
-        Values by name for `lampopt.sweep`.
+        Values by name for `lampopt.sweep`: every combination.
+    experiments
+        Or a plan of targets for `lampopt.sweep`: `Experiments(ranges, count)`.
     format
         Of the meshes written: stl, obj, ply, glb.
     requires
@@ -104,6 +117,7 @@ class Study:
     level: Needs = "mesh"
     resolution: int = 128
     sweep: Mapping[str, Sequence[Value]] = field(default_factory=dict)
+    experiments: Experiments | None = None
     format: str = "stl"
     requires: tuple[str, ...] = ()
     seed: int = 0
@@ -121,22 +135,23 @@ class Study:
         if not isinstance(self.reference, str | None):
             raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
         for name in ("targets", "limits"):
-            table = {key: _native(value) for key, value in table_of(getattr(self, name), name).items()}
+            table = {key: native(value) for key, value in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(table))
         for key, target in self.targets.items():
-            if not _is_value(target):
+            if not is_value(target):
                 raise StudyError(
                     f"targets: {key}: expected a finite number or text such as '1420 mm', got {said(target)}"
                 )
         for name in ("resolution", "seed"):
-            _assign(self, name, _native(getattr(self, name)))
-        for name in ("ranges", "sweep"):
-            value = {key: _values(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
+            _assign(self, name, native(getattr(self, name)))
+        for name, read in (("ranges", value_pair), ("sweep", value_list)):
+            value = {key: read(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(value))
+        if not isinstance(self.experiments, Experiments | None):
+            raise StudyError(f"experiments: expected Experiments(ranges, count), got {said(self.experiments)}")
+        if self.sweep and self.experiments is not None:
+            raise StudyError("sweep and experiments: expected one of them, got both: leave one out")
         _assign(self, "solver", Spec.of(self.solver))
-        for key, pair in self.ranges.items():
-            if len(pair) != 2:
-                raise StudyError(f"ranges: {key}: expected a low and a high value, got {len(pair)} values")
         if self.level not in LEVELS:
             raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {said(self.level)}")
         if self.format not in FORMATS:
@@ -213,10 +228,12 @@ class Study:
                 continue
             if isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
+            elif isinstance(value, Experiments):
+                document[item.name] = value.written()
             elif item.name == "measures":
                 document[item.name] = written_measures(value)
             elif isinstance(value, Mapping):
-                document[item.name] = {k: list(v) if isinstance(v, tuple) else _native(v) for k, v in value.items()}
+                document[item.name] = {k: list(v) if isinstance(v, tuple) else native(v) for k, v in value.items()}
             else:
                 document[item.name] = list(value) if isinstance(value, tuple) else value
         if self.objective is not None:
@@ -256,6 +273,8 @@ class Study:
         document["bank"] = (folder or Path()) / document["bank"]
         if isinstance(solver := document.get("solver"), dict):
             document["solver"] = spec_of(solver, "solver")
+        if "experiments" in document:
+            document["experiments"] = Experiments.read(document["experiments"])
         if isinstance(measures := document.get("measures"), dict):
             document["measures"] = {
                 name: beside(spec_of(value, f"measures: {name}"), folder) if isinstance(value, dict) else value
@@ -286,30 +305,6 @@ class Study:
 
 def _assign(study: Study, name: str, value: object) -> None:
     object.__setattr__(study, name, value)
-
-
-def _values(value: object, what: str) -> tuple[Value, ...]:
-    if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
-        raise StudyError(f"{what}: expected a list of values, got {said(value)}")
-    found = tuple(v if isinstance(v, str) else _native(v) for v in value)
-    if not found:
-        raise StudyError(f"{what}: expected a list of values, got none")
-    if wrong := [v for v in found if not _is_value(v)]:
-        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {said(wrong[0])}")
-    return found
-
-
-def _is_value(value: object) -> bool:
-    return isinstance(value, str | int | float) and not isinstance(value, bool)
-
-
-def _native(value: object) -> Any:
-    """Numpy's numbers as Python's; everything else as it is."""
-    if isinstance(value, bool | int | float):
-        return value
-    if isinstance(value, Integral):
-        return int(value)
-    return float(value) if isinstance(value, Real) else value
 
 
 def _objective(table: object) -> Reduce:

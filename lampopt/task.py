@@ -20,7 +20,7 @@ import numpy as np
 from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
-from lampopt.choices import GIVEN
+from lampopt.choices import GIVEN, Value
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
 from lampopt.measured import resolve_address
@@ -28,7 +28,7 @@ from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, Measure, Solver, State
 from lampopt.solve import Posed, pose
-from lampopt.study import Study, Value
+from lampopt.study import Study
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
 from lampopt.written import MeshFile
 
@@ -110,7 +110,7 @@ class Task:
     def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
         """Every wanted value by name [the bank's units], with `change` among the targets."""
         targets = {**self.study.targets, **change}
-        return replace(self.study, targets=targets, sweep={}).asked(self.bank)
+        return replace(self.study, targets=targets, sweep={}, experiments=None).asked(self.bank)
 
     def posed(self, target: Mapping[str, float]) -> Posed:
         """The problem that one target poses."""

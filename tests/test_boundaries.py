@@ -41,6 +41,7 @@ LAYERS = (
     {"record"},
     {"mixes"},
     {"choices"},
+    {"experiments"},
     {"study"},
     {"task"},
     {"workers"},

@@ -11,8 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import lampopt
-from lampopt import Reduce, Spec, Study
+from lampopt import Experiments, Reduce, Spec, Study
 from lampopt.errors import InputError, LampoptError, StudyError
+from lampopt.experiments import METHODS
 from lampopt.units import factor, number
 
 HERE = Path(__file__).parent
@@ -48,6 +49,8 @@ options = st.dictionaries(text.filter(lambda t: t != "name"), st.one_of(number_,
 def studies(draw):
     pool = draw(st.lists(text, min_size=6, max_size=6, unique=True))
     objective = draw(st.one_of(st.none(), st.floats(-9.5, 0.99).map(lambda by: Reduce(pool[5], by))))
+    ranges = st.dictionaries(text, st.tuples(value, value), min_size=1, max_size=2)
+    plan = draw(st.none() | st.builds(Experiments, ranges, st.integers(1, 99), st.sampled_from(METHODS[:-1])))
     targets, keep = {name: draw(value) for name in pool[: draw(st.integers(0, 2))]}, tuple(pool[2:3])
     asked = [*targets, *keep]
     return Study(
@@ -64,7 +67,8 @@ def studies(draw):
         limits=draw(st.dictionaries(text, st.floats(0, 1e9), max_size=2)),
         level=draw(st.sampled_from(["alpha", "field", "mesh"])),
         resolution=draw(st.integers(4, 4096)),
-        sweep=draw(st.dictionaries(text, st.lists(value, min_size=1, max_size=3), max_size=2)),
+        sweep={} if plan else draw(st.dictionaries(text, st.lists(value, min_size=1, max_size=3), max_size=2)),
+        experiments=plan,
         format=draw(st.sampled_from(["stl", "obj", "ply", "glb"])),
         requires=draw(names),
         seed=draw(st.integers(0, 2**60)),
