@@ -3,6 +3,7 @@
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
+from lampopt.enrich import enrich
 from lampopt.exemplars import exemplars
 from lampopt.experiments import Experiments, experiments
 from lampopt.extrapolation import extrapolation_volume
@@ -41,6 +42,7 @@ __all__ = [
     "calibrate",
     "compare",
     "design",
+    "enrich",
     "exemplars",
     "experiments",
     "extrapolation_volume",

@@ -190,11 +190,14 @@ class Task:
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
-        """Where the results come from: the bank's own, versions, solver and decoder."""
+        """Where the results come from: the bank's own, versions, solver and decoder.
+
+        What the bank was told beside its own (names with a dot) stays there: its `plan` stands for it.
+        """
         solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
         decoder = self.plugins.get("decoder", self.bank.decoder.name)
         return {
-            **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
+            **{f"bank.{name}": value for name, value in self.bank.provenance.items() if "." not in name},
             "lampopt": version("lampopt"),
             "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
             "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",

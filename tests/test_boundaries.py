@@ -48,6 +48,8 @@ LAYERS = (
     {"reporting"},
     {"motion"},
     {"loop"},
+    {"joining"},
+    {"enrich"},
     {"lampopt", "cli", "testing"},
 )
 PUBLIC = {  # what a plugin may import
