@@ -776,7 +776,7 @@ def test_another_question_is_another_design(bank, tmp_path, change):
 
 
 def test_each_thing_that_a_study_asks_is_among_these():
-    alone = {"bank", "sweep", "requires"}  # a bank has its own test; the others alter no design
+    alone = {"bank", "sweep", "experiments", "requires"}  # a bank has its own test; the others alter no design
     assert {name for change in CHANGES for name in change} == {item.name for item in fields(Study)} - alone
 
 
