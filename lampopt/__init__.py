@@ -3,7 +3,9 @@
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
+from lampopt.enrich import enrich
 from lampopt.exemplars import exemplars
+from lampopt.experiments import Experiments, experiments
 from lampopt.explore import Exploration, SafeInterval, explore
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
@@ -26,6 +28,7 @@ __all__ = [
     "Comparison",
     "Design",
     "Exemplars",
+    "Experiments",
     "Exploration",
     "Frame",
     "Linear",
@@ -46,7 +49,9 @@ __all__ = [
     "calibrate",
     "compare",
     "design",
+    "enrich",
     "exemplars",
+    "experiments",
     "explore",
     "extrapolation_volume",
     "fit_model",

@@ -159,9 +159,18 @@ def field_checks(
 
 
 def mesh_checks(
-    bank: Bank, decoder: Decoder, design: Design, resolution: int, limits: Limits, plugins: Plugins
+    bank: Bank,
+    decoder: Decoder,
+    design: Design,
+    resolution: int,
+    limits: Limits,
+    plugins: Plugins,
+    wanted: Mapping[str, float] | None = None,
 ) -> list[Check]:
-    """What the mesh tells: its health, and every parameter that can be measured on it."""
+    """What the mesh tells: its health, and every parameter that can be measured on it.
+
+    `wanted` are the values that some of these should have, where something else than the mix tells them.
+    """
     mesh = design.mesh
     faces = 0 if mesh is None else len(mesh.faces)
     found = [Check("mesh", float(faces), ">=", 1.0, "faces", "mesh", "" if faces else "the field has no surface")]
@@ -181,7 +190,7 @@ def mesh_checks(
             found.append(Check(name, _nan(value), "=", float(expected), "", "mesh", "as the exemplars"))
     if bank.probe_values.shape[-1] == 1:
         found.append(_clearance(bank, decoder, mesh, resolution, limits))
-    found += drift_checks(bank, design.mix.alpha, mesh, limits, plugins)
+    found += drift_checks(bank, design.mix.alpha, mesh, limits, plugins, wanted)
     if isinstance(decoder, DesignChecks):
         theirs = decoder.design_checks(bank.shared, design.weights, bank.frame.to_box(mesh))
         found += _checks(f"decoder {bank.decoder.name!r}: design_checks", theirs)
@@ -203,23 +212,31 @@ def _clearance(bank: Bank, decoder: Decoder, mesh: Trimesh, resolution: int, lim
     )
 
 
-def drift_checks(bank: Bank, alpha: Array, mesh: Trimesh, limits: Limits, plugins: Plugins) -> list[Check]:
+def drift_checks(
+    bank: Bank,
+    alpha: Array,
+    mesh: Trimesh,
+    limits: Limits,
+    plugins: Plugins,
+    wanted: Mapping[str, float] | None = None,
+) -> list[Check]:
     """Every parameter declared measurable, against what the mix predicts for it.
 
     The prediction is Mᵀalpha with M what was measured on the exemplars: Pᵀalpha wherever the measurement is the
     parameter, and still right where it differs by an offset or a factor (a parameter given as a change of length).
+    Where the ask was corrected so that a `wanted` value is measured, that is what counts.
     """
-    found, known = [], _Measured(mesh, plugins)
+    found, known, wanted = [], _Measured(mesh, plugins), wanted or {}
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
         unit = next(q.unit for q in bank.space if q.name == parameter)
-        expected, spread = float(alpha @ values), float(np.ptp(values))
+        expected, spread = wanted.get(parameter, float(alpha @ values)), float(np.ptp(values))
         limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:
             found.append(Check(f"drift.{parameter}", float("nan"), "<=", limit, unit, "mesh", f"{address}: {error}"))
             continue
-        note = f"{address} {value:.6g}, predicted {expected:.6g}"
+        note = f"{address} {value:.6g}, {'wanted' if parameter in wanted else 'predicted'} {expected:.6g}"
         found.append(Check(f"drift.{parameter}", abs(value - expected), "<=", limit, unit, "mesh", note))
     return found
 

@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING
 
 from lampopt import lamp
 from lampopt.bank import decoder_of
+from lampopt.choices import Value
 from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
+from lampopt.experiments import MOST
 from lampopt.goals import Objective
 from lampopt.measured import values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Measure, Progress
 from lampopt.reading import path_of, why
 from lampopt.record import RunFolder, recorded
-from lampopt.study import Study, Value
+from lampopt.study import Study
 from lampopt.task import Designer, Task, whole
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
@@ -34,7 +36,6 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
-MOST = 100_000  # combinations of a sweep
 log = logging.getLogger("lampopt")
 
 
@@ -109,14 +110,15 @@ def sweep(
     progress: Progress | None = None,
     plugins: Plugins | None = None,
 ) -> Generator[Result, None, None]:
-    """One design for each combination of the values in `grid`, yielded in order as they come; nothing is held.
+    """One design for each target of `grid`, yielded in order as they come; nothing is held.
 
     Parameters
     ----------
     study
         What all designs have in common; `grid` replaces its targets of the same names.
     grid
-        Values by name, every combination of which is made, or a list of target tables; default: `study.sweep`.
+        Values by name, every combination of which is made, or a list of target tables, such as `lampopt.experiments`
+        makes; default: `study.sweep` or `study.experiments`.
     folder
         Where results are recorded. Designs that are there already are read back, not computed again.
     executor
@@ -140,11 +142,14 @@ def sweep(
     if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "submit", None))):
         raise StudyError(f"executor: expected one as in concurrent.futures, with submit, got {executor!r:.80}")
     if grid is not None:  # tables have no place in a study
-        study = replace(study, sweep=grid if isinstance(grid, Mapping) else {})
+        study = replace(study, sweep=grid if isinstance(grid, Mapping) else {}, experiments=None)
     changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else _tables(grid)
-    if not changes:
-        raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, got none")
-    return _results(Task.of(study, plugins), changes, folder, progress, executor, report)
+    if not changes and study.experiments is None:
+        raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, or experiments, got none")
+    task = Task.of(study, plugins)
+    if study.experiments is not None:
+        changes = study.experiments.tables(task.bank)
+    return _results(task, changes, folder, progress, executor, report)
 
 
 def results(folder: str | Path, *, every: bool = False, plugins: Plugins | None = None) -> Iterator[Result]:
@@ -191,7 +196,7 @@ def _report(folder: Path, study: Study, bank: Bank, plugins: Plugins | None) -> 
     return written
 
 
-def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
+def _combinations(grid: Mapping[str, Sequence[Value]]) -> Sequence[Mapping[str, Value]]:
     if not grid:
         return []
     count = math.prod(len(values) for values in grid.values())
@@ -203,7 +208,7 @@ def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
 
 
-def _tables(grid: object) -> list[dict[str, Value]]:
+def _tables(grid: object) -> Sequence[Mapping[str, Value]]:
     """`grid` as a list of target tables."""
     wanted = "sweep: expected values by name, such as {'roof': [1.30, 1.36]}, or a list of tables {'roof': 1.30}"
     if isinstance(grid, str) or not isinstance(grid, Iterable):

@@ -15,11 +15,12 @@ import numpy as np
 
 from lampopt.chain import Chain
 from lampopt.errors import InputError, StudyError
+from lampopt.measured import resolve_address
 from lampopt.protocols import Measure, Model
 from lampopt.reading import brief
 from lampopt.solve import Column, column, columns
 from lampopt.types import Array, Bank
-from lampopt.units import filled
+from lampopt.units import factor, filled
 
 if TYPE_CHECKING:
     from lampopt.plugins import Plugins
@@ -91,6 +92,28 @@ class Quantities:
             )
         return _of_column(column(self.bank, name))
 
+    def measured(self, address: str) -> Quantity:
+        """The measured value at `address`: of a measure of the study, of an installed one, or in the file of one.
+
+        Raises
+        ------
+        StudyError, InputError
+            If there is none.
+        """
+        key, _, value = address.partition(".")
+        if ":" not in address and key in self.measures:
+            name, measure = key, self.measures[key]
+            if value not in measure.names:
+                known = ", ".join(f"{key}.{v}" for v in measure.names)
+                raise StudyError(f"measured: {address!r}: expected one of {known}")
+            place = tuple(measure.names).index(value)
+        else:
+            if self.plugins is None:
+                raise StudyError(f"measured: {address!r}: nothing is installed here")
+            name, measure, place = resolve_address(address, self.plugins)
+        unit = filled(measure.units[place], self.bank.frame.unit)
+        return Quantity(address, unit, measure=(name, measure, place))
+
     def _called(self, name: str) -> Iterator[Quantity]:
         """Everything that may be meant."""
         if name in columns(self.bank):
@@ -118,8 +141,11 @@ class Quantities:
         place = tuple(measure.names).index(value)
         return Quantity(name, filled(measure.units[place], self.bank.frame.unit), measure=(key, measure, place))
 
-    def at(self, name: str, reference: str | None) -> float:
+    def at(self, name: str, reference: str | None, address: str | None = None) -> float:
         """The value of `name` at an exemplar; at the bank's mean where there is no reference.
+
+        With `address` it is what is measured there on the exemplar as the bank decodes it, which is what a design is
+        to be compared with.
 
         Raises
         ------
@@ -132,7 +158,10 @@ class Quantities:
             raise StudyError(f"reference {reference!r}: no exemplar of this bank; there are {known}")
         n = len(self.bank)
         alpha = np.full(n, 1 / n) if reference is None else np.eye(n)[self.bank.names.index(reference)]
-        if quantity.column is not None:
+        if address is not None:
+            told = self.measured(address)
+            value = self.value(told, alpha) * factor(told.unit, quantity.unit, f"{address!r} for {name!r}")
+        elif quantity.column is not None:
             values = quantity.column.values
             value = float(np.nanmean(values)) if reference is None else float(values[self.bank.names.index(reference)])
         else:

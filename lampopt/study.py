@@ -6,25 +6,30 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from math import inf, isinf
-from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
 from lampopt.choices import (
+    Value,
     beside,
+    is_value,
     measures_of,
     models_of,
     names_of,
+    native,
     spec_of,
     table_of,
+    value_list,
+    value_pair,
     written_measures,
     written_models,
 )
 from lampopt.errors import InputError, StudyError
+from lampopt.experiments import Experiments
 from lampopt.goals import Linear, Minimise, Objective, Reduce, linear_of, objective_of
 from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
@@ -35,7 +40,6 @@ from lampopt.safeguards import NAMES as SAFE
 from lampopt.types import LEVELS, Bank, Needs, Spec
 from lampopt.units import number, said
 
-Value = float | str
 LARGEST = 2**22  # bytes of a study: 100,000 values of a sweep take three quarters of it
 # A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
@@ -93,7 +97,9 @@ class Study:
     resolution
         Cells along the decoder's box.
     sweep
-        Values by name for `lampopt.sweep`.
+        Values by name for `lampopt.sweep`: every combination.
+    experiments
+        Or a plan of targets for `lampopt.sweep`: `Experiments(ranges, count)`.
     format
         Of the meshes written: stl, obj, ply, glb.
     requires
@@ -125,6 +131,7 @@ class Study:
     level: Needs = "mesh"
     resolution: int = 128
     sweep: Mapping[str, Sequence[Value]] = field(default_factory=dict)
+    experiments: Experiments | None = None
     format: str = "stl"
     requires: tuple[str, ...] = ()
     seed: int = 0
@@ -142,23 +149,24 @@ class Study:
         if not isinstance(self.reference, str | None):
             raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
         for name in ("targets", "weights", "limits"):
-            table = {key: _native(value) for key, value in table_of(getattr(self, name), name).items()}
+            table = {key: native(value) for key, value in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(table))
         for key, target in self.targets.items():
-            if not _is_value(target):
+            if not is_value(target):
                 raise StudyError(
                     f"targets: {key}: expected a finite number or text such as '1420 mm', got {said(target)}"
                 )
         for name in ("resolution", "seed", "ridge", "norm", "turns"):
-            _assign(self, name, _native(getattr(self, name)))
+            _assign(self, name, native(getattr(self, name)))
         _checked(self)
-        for name in ("ranges", "sweep"):
-            value = {key: _values(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
+        for name, read in (("ranges", value_pair), ("sweep", value_list)):
+            value = {key: read(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(value))
+        if not isinstance(self.experiments, Experiments | None):
+            raise StudyError(f"experiments: expected Experiments(ranges, count), got {said(self.experiments)}")
+        if self.sweep and self.experiments is not None:
+            raise StudyError("sweep and experiments: expected one of them, got both: leave one out")
         _assign(self, "solver", Spec.of(self.solver))
-        for key, pair in self.ranges.items():
-            if len(pair) != 2:
-                raise StudyError(f"ranges: {key}: expected a low and a high value, got {len(pair)} values")
         if self.level not in LEVELS:
             raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {said(self.level)}")
         if self.format not in FORMATS:
@@ -199,10 +207,15 @@ class Study:
         known = _quantities(known)
         wanted = {name: self.value(known, name, value) for name, value in self.targets.items()}
         for name in self.keep:
-            wanted[name] = known.at(name, self.reference)
+            wanted[name] = known.at(name, self.reference, self._address(name))
         if isinstance(self.objective, Reduce):
-            wanted[self.objective.name] = (1 - self.objective.by) * known.at(self.objective.name, self.reference)
+            name = self.objective.name
+            wanted[name] = (1 - self.objective.by) * known.at(name, self.reference, self._address(name))
         return wanted
+
+    def _address(self, name: str) -> str | None:
+        """Where the reference's value is measured: on the reference as the bank makes it, if designs are measured."""
+        return self.measured.get(name) if self.turns else None
 
     def bounds(self, known: Bank | Quantities) -> dict[str, tuple[float, float]]:
         """The ranges in the bank's units."""
@@ -251,10 +264,12 @@ class Study:
                 document[item.name] = written_models(value)
             elif isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
+            elif isinstance(value, Experiments):
+                document[item.name] = value.written()
             elif item.name == "measures":
                 document[item.name] = written_measures(value)
             elif isinstance(value, Mapping):
-                document[item.name] = {k: list(v) if isinstance(v, tuple) else _native(v) for k, v in value.items()}
+                document[item.name] = {k: list(v) if isinstance(v, tuple) else native(v) for k, v in value.items()}
             else:
                 document[item.name] = list(value) if isinstance(value, tuple) else value
         text = tomli_w.dumps(document)
@@ -292,6 +307,8 @@ class Study:
         document["bank"] = (folder or Path()) / document["bank"]
         if isinstance(solver := document.get("solver"), dict):
             document["solver"] = spec_of(solver, "solver")
+        if "experiments" in document:
+            document["experiments"] = Experiments.read(document["experiments"])
         if isinstance(measures := document.get("measures"), dict):
             document["measures"] = {
                 name: beside(spec_of(value, f"measures: {name}"), folder) if isinstance(value, dict) else value
@@ -326,30 +343,6 @@ def _assign(study: Study, name: str, value: object) -> None:
     object.__setattr__(study, name, value)
 
 
-def _values(value: object, what: str) -> tuple[Value, ...]:
-    if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
-        raise StudyError(f"{what}: expected a list of values, got {said(value)}")
-    found = tuple(v if isinstance(v, str) else _native(v) for v in value)
-    if not found:
-        raise StudyError(f"{what}: expected a list of values, got none")
-    if wrong := [v for v in found if not _is_value(v)]:
-        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {said(wrong[0])}")
-    return found
-
-
-def _is_value(value: object) -> bool:
-    return isinstance(value, str | int | float) and not isinstance(value, bool)
-
-
-def _native(value: object) -> Any:
-    """Numpy's numbers as Python's; everything else as it is."""
-    if isinstance(value, bool | int | float):
-        return value
-    if isinstance(value, Integral):
-        return int(value)
-    return float(value) if isinstance(value, Real) else value
-
-
 def _quantities(known: Bank | Quantities) -> Quantities:
     return known if isinstance(known, Quantities) else Quantities(known)
 
@@ -362,7 +355,7 @@ def _checked(study: Study) -> None:
     linear = {name: linear_of(value, name) for name, value in table_of(study.linear, "linear").items()}
     _assign(study, "linear", MappingProxyType(linear))
     if study.alpha is not None:
-        ends = [_native(value) for value in study.alpha] if isinstance(study.alpha, Sequence) else []
+        ends = [native(value) for value in study.alpha] if isinstance(study.alpha, Sequence) else []
         if len(ends) != 2 or not all(isinstance(v, int | float) for v in ends) or not ends[0] < ends[1]:
             raise StudyError(f"alpha: expected the lowest and the highest coefficient, got {said(study.alpha)}")
         _assign(study, "alpha", (float(ends[0]), float(ends[1])))

@@ -21,7 +21,8 @@ from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.chain import Chain
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
-from lampopt.choices import GIVEN
+from lampopt.choices import GIVEN, Value
+from lampopt.closing import Closed, closed, read_checks
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
 from lampopt.fitted import load_model
@@ -32,8 +33,8 @@ from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, Measure, Model, Solver, State
 from lampopt.quantities import Quantities
 from lampopt.safeguards import judged_by
-from lampopt.solve import Posed
-from lampopt.study import Study, Value
+from lampopt.solve import Posed, solve
+from lampopt.study import Study
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
 from lampopt.wishes import Wishes, goal_checks
 from lampopt.written import MeshFile
@@ -118,7 +119,7 @@ class Task:
     def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
         """Every wanted value by name [the bank's units], with `change` among the targets."""
         targets = {**self.study.targets, **change}
-        return replace(self.study, targets=targets, sweep={}).asked(self.wishes.quantities)
+        return replace(self.study, targets=targets, sweep={}, experiments=None).asked(self.wishes.quantities)
 
     @cached_property
     def wishes(self) -> Wishes:
@@ -136,8 +137,27 @@ class Task:
         """What makes this task's designs."""
         return Designer(self.bank, lambda: self.decoder, self.study.resolution)
 
-    def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
-        """One design through mix, decode and check, as far as the study's level."""
+    @property
+    def solves_long(self) -> bool:
+        """Whether a solve makes meshes or sweeps probes, so that it is worth a worker."""
+        asked = [*self.study.names, *self.study.ranges, *([self.study.objective.name] if self.study.objective else [])]
+        measured = any(self.wishes.quantities[name].measure is not None for name in asked)
+        return bool(self.study.turns or "mismatch" in self.study.safe or measured)
+
+    def solved(self, target: Mapping[str, float]) -> tuple[Posed, Mix]:
+        """The problem of one target, and its mix."""
+        posed = self.posed(target)
+        return posed, solve(posed, self.solver)
+
+    def made(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
+        """One design: its ask corrected as often as the study says, then judged."""
+        if not self.study.turns:
+            return self.judge(target, posed, mix)
+        found = closed(self.study, self.wishes.quantities, target, self.solved, (posed, mix))
+        return self.judge(target, found.posed, found.mix, found)
+
+    def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix, turned: Closed | None = None) -> Result:
+        """One design through mix, decode and check, as far as the study's level; `turned` tells how it came about."""
         made = self.designer(target, mix)
         checks = alpha_checks(posed, mix, self.limits)
         for level in LEVELS[: LEVELS.index(self.study.level) + 1]:
@@ -150,17 +170,24 @@ class Task:
                 measured = ", ".join(self.bank.measured_by.values()) or "no measure"
                 with _unaltered(made.mesh, f"one of {measured}, or the decoder,"):
                     resolution = self.study.resolution
-                    checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins)
+                    wanted = {} if turned is None else turned.wanted
+                    checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins, wanted)
                 if made.mesh is None:
                     break  # nothing is left to be measured or judged
                 checks += goal_checks(self.wishes, target, mix.alpha, self.limits, level)
+                if turned is not None:
+                    checks += read_checks(self.study, self.wishes.quantities, turned, self.limits)
                 for name, measure in self.measures.items():
                     with _unaltered(made.mesh, f"measure {name!r}"):
                         checks += measure_checks(self.bank, made.mesh, {name: measure})
             for name, checker in self.checkers.items():
                 with _unaltered(made.__dict__.get("mesh"), f"check {name!r}"):
                     checks += stranger_checks(self.bank, made, {name: checker}, level)
-        return self.result(made, checks)
+        found = self.result(made, checks)
+        if turned is None:
+            return found
+        told = {f"asked.{name}": value for name, value in turned.asked.items() if value != target.get(name)}
+        return replace(found, provenance={**found.provenance, "turns": turned.turns, **told})
 
     def result(self, made: Design, checks: Sequence[Check]) -> Result:
         """A design with the evidence about it. Raises PluginError where two checks have one name."""
@@ -227,11 +254,14 @@ class Task:
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
-        """Where the results come from: the bank's own, versions, solver and decoder."""
+        """Where the results come from: the bank's own, versions, solver and decoder.
+
+        What the bank was told beside its own (names with a dot) stays there: its `plan` stands for it.
+        """
         solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
         decoder = self.plugins.get("decoder", self.bank.decoder.name)
         return {
-            **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
+            **{f"bank.{name}": value for name, value in self.bank.provenance.items() if "." not in name},
             "lampopt": version("lampopt"),
             "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
             "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",

@@ -30,9 +30,10 @@ from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
 from lampopt.reading import brief, why
 from lampopt.record import RunFolder
+from lampopt.solve import solve
 from lampopt.study import Study
 from lampopt.task import Task
-from lampopt.types import Check, Mix, Result, Spec
+from lampopt.types import Check, Mix, Result, Scalar, Spec
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -79,7 +80,7 @@ def judged(
         result = None if place is None else place.read(key, task.bank, task.designer)
         if result is None:
             began = time.perf_counter()
-            result = task.judge(target, *mixes.at(number))
+            result = task.made(target, *mixes.at(number))
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
 
@@ -103,7 +104,9 @@ def _keep(task: Task, place: RunFolder | None, key: str, result: Result, seconds
 class _Answer:
     """What a worker sends back; the rest of a design follows from its mix."""
 
+    mix: Mix
     checks: tuple[Check, ...]
+    provenance: Mapping[str, Scalar]
     made: bool  # whether the mesh was asked for at all
     mesh: Trimesh | None
     seconds: float
@@ -122,7 +125,7 @@ class _Ahead:
         self._most = 2 * max(os.cpu_count() or 1, workers if isinstance(workers, int) else 1)
         # Threads share what is open; other processes open it for themselves, once.
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
-        self._sent, self._next = dict[int, tuple[Future[_Answer], Mix]](), 0
+        self._sent, self._next = dict[int, Future[_Answer]](), 0
         self._done = dict[int, Result]()
 
     def results(self) -> Generator[Result, None, None]:
@@ -147,11 +150,12 @@ class _Ahead:
             if self._place is None or not (
                 self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
             ):
-                _, mix = self._mixes.at(number)
-                self._sent[number] = (self._submit(target, mix), mix)
+                # What takes long to solve is solved there too; the rest here, many together.
+                mix = None if self._task.solves_long else self._mixes.at(number)[1]
+                self._sent[number] = self._submit(target, mix)
             self._next += 1
 
-    def _submit(self, target: Target, mix: Mix) -> Future[_Answer]:
+    def _submit(self, target: Target, mix: Mix | None) -> Future[_Answer]:
         try:
             if self._setup is None:
                 future: object = self._executor.submit(_judge, self._task, target, mix)
@@ -169,29 +173,29 @@ class _Ahead:
 
     def _take(self) -> None:
         """Wait for a design, and record all that are there, those beside one that failed too."""
-        futures = [future for future, _ in self._sent.values()]
+        futures = [*self._sent.values()]
         while not any(future.done() for future in futures):  # one that is cancelled in its queue wakes nobody
             wait(futures, PATIENCE, FIRST_COMPLETED)
         self._keep_finished()
-        for future, _ in self._sent.values():
+        for future in self._sent.values():
             if future.done():
                 future.result()  # raises: the others are recorded
 
     def _keep_finished(self) -> None:
-        for number, (future, mix) in list(self._sent.items()):
+        for number, future in list(self._sent.items()):
             if future.done() and not future.cancelled() and future.exception() is None:
                 del self._sent[number]
                 answer: object = future.result()
                 if not isinstance(answer, _Answer):
                     raise StudyError(f"executor: expected what its work returned, got {brief(repr(answer))}")
-                result = _result(self._task, self._asked[number], mix, answer)
+                result = _result(self._task, self._asked[number], answer)
                 key = self._keys[number] if self._place is not None else ""
                 self._done[number] = _keep(self._task, self._place, key, result, answer.seconds)
 
     def _stop(self) -> None:
         """Ask for no more, and keep what has been finished meanwhile."""
         try:
-            for future, _ in self._sent.values():
+            for future in self._sent.values():
                 future.cancel()
             self._keep_finished()
         except Exception as error:  # noqa: BLE001  # what stopped it counts, the same perhaps
@@ -205,22 +209,31 @@ class _Ahead:
         return result
 
 
-def _result(task: Task, target: Target, mix: Mix, answer: _Answer) -> Result:
-    design = task.designer(target, mix)
+def _result(task: Task, target: Target, answer: _Answer) -> Result:
+    design = task.designer(target, answer.mix)
     if answer.made:
         design = replace(design, make_mesh=lambda: answer.mesh)
         _ = design.mesh  # it counts as made
-    return task.result(design, answer.checks)
+    found = task.result(design, answer.checks)
+    return replace(found, provenance={**found.provenance, **answer.provenance})
 
 
-def _judge(task: Task, target: Target, mix: Mix) -> _Answer:
+def _judge(task: Task, target: Target, mix: Mix | None) -> _Answer:
     began = time.perf_counter()
-    result = task.judge(target, task.posed(target), mix)
+    posed = task.posed(target)
+    result = task.made(target, posed, solve(posed, task.solver) if mix is None else mix)
     known = result.design.__dict__
-    return _Answer(result.checks, "mesh" in known, known.get("mesh"), time.perf_counter() - began)
+    return _Answer(
+        result.design.mix,
+        result.checks,
+        result.provenance,
+        "mesh" in known,
+        known.get("mesh"),
+        time.perf_counter() - began,
+    )
 
 
-def _judge_there(setup: bytes, target: Target, mix: Mix) -> _Answer:
+def _judge_there(setup: bytes, target: Target, mix: Mix | None) -> _Answer:
     with _interruptible():
         return _judge(_unpacked(setup), target, mix)
 
@@ -272,12 +285,13 @@ def _packed(task: Task, file: Path | None) -> bytes:
     extra = [(name, manager.get_plugin(name)) for name, (owner, _) in owners.items() if owner == "not installed"]
     study = replace(task.study, bank=str(file.resolve())).to_toml()
     given = {name: choice for name, choice in task.study.to_be_measured().items() if not isinstance(choice, Spec)}
+    models = {name: choice for name, choice in task.study.models.items() if not isinstance(choice, str | Path)}
     try:
-        objects = pickle.dumps(given)
+        objects = pickle.dumps((given, models))
     except Exception as error:  # whatever a stranger's __reduce__ raises
         raise StudyError(
-            f"executor: the measures {', '.join(given)} cannot be sent to other processes ({why(error)}): define them "
-            "in a module, or use a ThreadPoolExecutor"
+            f"executor: the measures or models {', '.join([*given, *models])} cannot be sent to other processes "
+            f"({why(error)}): define them in a module, or use a ThreadPoolExecutor"
         ) from error
     try:
         return pickle.dumps((study, objects, task.identity, list(owners), extra))
@@ -293,7 +307,8 @@ def _unpacked(setup: bytes) -> Task:
     text, objects, identity, names, extra = pickle.loads(setup)  # by the process that started this one
     installed = {point.name for point in entry_points(group="lampopt")}
     study = Study.from_toml(text)
-    study = replace(study, measures={**study.to_be_measured(), **pickle.loads(objects)})
+    measures, models = pickle.loads(objects)
+    study = replace(study, measures={**study.to_be_measured(), **measures}, models={**study.models, **models})
     task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
     if task.identity != identity:
         raise PluginError(

@@ -44,13 +44,16 @@ LAYERS = (
     {"record"},
     {"mixes"},
     {"choices"},
+    {"experiments"},
     {"study"},
-    {"wishes"},
+    {"wishes", "closing"},
     {"task"},
     {"workers"},
     {"reporting"},
     {"explore", "motion"},
     {"loop"},
+    {"joining"},
+    {"enrich"},
     {"lampopt", "cli", "testing"},
 )
 PUBLIC = {  # what a plugin may import

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lampopt import cli, hookimpl, load_bank, progress
+from lampopt import cli, experiments, hookimpl, load_bank, progress
 from lampopt.cli.answer import Answer, Command, _plain
 from lampopt.errors import InputError
 from lampopt.plugins import Plugins
@@ -171,7 +171,7 @@ def test_check_plugin(call, ask):
     code, document, _ = ask("check-plugin", "nobody")
     assert code == 2
     assert document["error"]["type"] == "PluginError"
-    assert "known are: datasets" in document["error"]["message"]
+    assert "known are: casadi, datasets" in document["error"]["message"]
 
 
 # banks
@@ -350,7 +350,7 @@ def test_make_judges_as_far_as_it_is_told(ask, call, folder):
         (["--keep", "length", "--reference", "car_9"], "there are car_0"),
         (["--target", "length=1", "--limit", "mismatch=small"], "--limit mismatch: expected a number"),
         (["--target", "length=1", "--limit", "mismatc=1"], "limits: unknown mismatc"),
-        (["--target", "length=1", "--solver", "ktk"], "installed are: kkt"),
+        (["--target", "length=1", "--solver", "ktk"], "installed are: casadi, kkt"),
         (["--target", "length=1", "--solver-set", "ridge=-1"], "ridge"),
         (["--target", "length=1", "--resolution", "1"], "resolution: expected a whole number from 4"),
         (["--target", "length=1", "--level", "all"], "'alpha', 'field', 'mesh'"),
@@ -407,13 +407,46 @@ def test_sweep(call, ask, study):
     assert len(list((place / "designs").iterdir())) == 5 - rows.count((None,))  # a folder where there is a mesh
 
 
+def test_sweep_of_experiments(ask, study):
+    level = "level = 'alpha'\n"
+    study.write_text(level + study.read_text())
+    ranges = {"length": (1.1, 1.3), "angle": (0.0, 4.0)}
+    options = ["--set", "length=1.1,1300 mm", "--set", "angle=0,4 deg"]
+    bank = study.parent / "cars.lamp"
+
+    def targets(*args):
+        code, document, _ = ask("sweep", study, *args)
+        assert code in (0, 1)
+        return [{name: pytest.approx(design["target"][name]) for name in ranges} for design in document["designs"]]
+
+    assert targets("--experiments", 5, *options) == experiments(bank, ranges, 5)
+    assert targets("--experiments", 6, "--method", "sobol", "--seed", 3, *options) == experiments(
+        bank, ranges, 6, method="sobol", seed=3
+    )
+    corners = experiments(bank, ranges, method="corners")
+    assert targets("--method", "corners", *options) == corners
+    text = study.read_text().partition("[sweep]")[0]
+    plan = "[experiments]\ncount = 3\nmethod = 'halton'\nranges = { length = [1.1, 1.3], angle = [0, 4] }\n"
+    study.write_text(text + plan)
+    assert targets() == experiments(bank, ranges, 3, method="halton")
+    assert targets("--experiments", 5) == experiments(bank, ranges, 5, method="halton")  # a plan that grows
+    assert targets("--method", "sobol", "--seed", 1) == experiments(bank, ranges, 3, method="sobol", seed=1)
+    assert targets("--method", "corners") == corners
+    assert len(targets("--set", "length=1.1,1.2,1.3")) == 3  # without them, --set is values
+
+
 @pytest.mark.parametrize(
     ("text", "args", "message"),
     [
         (None, [], "cannot be read as a study"),
         ("bank = ", [], "not valid TOML"),
         ('bank = "none.lamp"', [], "none.lamp: no such file"),
-        ('bank = "cars.lamp"', [], "has no [sweep] table: add one, or name values"),
+        ('bank = "cars.lamp"', [], "has no [sweep] table, and no [experiments]: add one, or name values"),
+        ('bank = "cars.lamp"', ["--experiments", "4"], "expected a low and a high value for each name, as in --set"),
+        ('bank = "cars.lamp"', ["--experiments", "4", "--set", "length=1"], "a low and a high value, got 1 values"),
+        ('bank = "cars.lamp"', ["--method", "sobol", "--set", "length=1,2"], "count: expected a whole number from 1"),
+        ('bank = "cars.lamp"', ["--experiments", "4", "--method", "corners", "--set", "length=1,2"], "expected none"),
+        ('bank = "cars.lamp"', ["--method", "corners", "--set", "lenth=1,2"], "known are length"),
         ('bank = "cars.lamp"', ["--set", "length=1,"], "expected values between commas"),
         ('bank = "cars.lamp"', ["--set", "lenth=1"], "known are length"),
         ('bank = "cars.lamp"', ["--set", "length=1", "--folder", "cars.lamp"], "--folder"),

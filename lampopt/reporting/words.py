@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from lampopt.goals import Minimise, Reduce
 from lampopt.reporting.charts import bars, number
 from lampopt.reporting.figures import Shown
 from lampopt.reporting.gather import Gathered, Line, predicted
 from lampopt.reporting.measuring import is_itself, read_back
 from lampopt.solve import columns
-from lampopt.goals import Minimise, Reduce
 from lampopt.study import Study
 from lampopt.types import Bank, Check, Result
 
