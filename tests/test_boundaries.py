@@ -19,7 +19,7 @@ LONGEST = 400  # lines
 LAYERS = (
     {"errors"},
     {"types"},
-    {"units", "topology", "metrics", "intersections", "meshfile", "reading", "protocols", "hookspecs"},
+    {"units", "topology", "metrics", "pareto", "intersections", "meshfile", "reading", "protocols", "hookspecs"},
     {"plugins", "lamp", "progress"},
     {"partial"},
     {"fitted"},
@@ -57,6 +57,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.measured",
     "lampopt.meshfile",
     "lampopt.metrics",
+    "lampopt.pareto",
     "lampopt.plugins",
     "lampopt.protocols",
     "lampopt.reading",
