@@ -22,9 +22,9 @@ MOST = 400  # lines
 AXES, LISTED = 10, 12  # at most; names of others that are told
 DENSE = 60  # lines beyond which they are drawn thin
 DECADES = 100.0  # times its least value: a judged quantity that spans more has a logarithmic axis
-WIDE, APART = 860, 240  # the chart's width, and the most there is between two axes
+WIDE, TALL = 860, 334  # the chart
+SIDE, TOP, LOW = 70, 64, 270  # where the first axis is, and an axis' ends
 SMALLER = 6.5  # pixels of a letter at an axis' end
-SIDE, TOP, LOW, TALL = 70, 64, 270, 334  # the first axis; an axis' ends; the chart's height
 LEVEL = 18  # of names
 
 
@@ -65,7 +65,7 @@ class Strand:
 
 def parallel_coordinates(axes: Sequence[Axis], strands: Sequence[Strand], title: str, said: str) -> str:
     """The chart of `strands` over `axes`, one at least; a value that is not known leaves a gap."""
-    step = min(APART, (WIDE - 2 * SIDE) / max(len(axes) - 1, 1))
+    step = (WIDE - 2 * SIDE) / max(len(axes) - 1, 1)
     places = [SIDE + step * i for i in range(len(axes))]
     turns = len(axes) > 1 and max(len(axis.name) for axis in axes) * LETTER > step - 8
     dense = " dense" if len(strands) > DENSE else ""
@@ -77,7 +77,7 @@ def parallel_coordinates(axes: Sequence[Axis], strands: Sequence[Strand], title:
         *(_ends(axis, x, step) for axis, x in zip(axes, places, strict=True)),
         *_groups(axes, places),
     ]
-    return drawing(places[-1] + SIDE, TALL, title, said, "".join(parts), " parallel", 0.0 if turns else LEVEL)
+    return drawing(WIDE, TALL, title, said, "".join(parts), " parallel", 0.0 if turns else LEVEL)
 
 
 def _strand(axes: Sequence[Axis], places: Sequence[float], strand: Strand) -> str:

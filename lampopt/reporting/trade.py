@@ -126,7 +126,7 @@ def traded(study: Study, bank: Bank, lines: Sequence[Line]) -> Traded | None:
     first = [error, distance] if goal is None or not goal.tells else [distance, goal, error]
     values = [q for q in measured(lines) if "." in q.name]  # others are counts
     found = [q for q in (*first, *values, mismatch) if q.tells]
-    if len(found) < 2 or not (found[0].known & found[1].known).any():
+    if len(found) < 2 or (found[0].known & found[1].known).sum() < 2:
         return None
     tint = found[2] if len(found) > 2 else None
     return Traded.of(found[0], found[1], tint, np.array([line.accepted for line in lines]))
@@ -169,9 +169,10 @@ def _front(found: Traded, numbers: Sequence[int]) -> str:
     if count == 1:
         return f"Design {numbers[found.along()[0]]} is better than any other accepted one in both."
     along = found.along()
+    some = f" ({len(along):,} of which are drawn)" if len(along) < count else ""
     told = (
-        f"The line joins the {count:,} of {accepted:,} accepted designs that no other accepted one beats in both, from "
-        f"design {numbers[along[0]]} to design {numbers[along[-1]]}"
+        f"The line joins the {count:,} of {accepted:,} accepted designs that no other accepted one beats in both{some}"
+        f", from design {numbers[along[0]]} to design {numbers[along[-1]]}"
     )
     if found.bend is None:
         return f"{told}; it has no knee."
