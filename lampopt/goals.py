@@ -29,6 +29,11 @@ class Reduce:
             )
         object.__setattr__(self, "by", by)
 
+    @property
+    def maximised(self) -> bool:
+        """Whether more is better."""
+        return self.by < 0
+
     def written(self) -> dict[str, Any]:
         """As it stands in TOML."""
         return {"reduce": self.name, "by": self.by}
@@ -51,6 +56,11 @@ class Minimise:
                 f"{type(self).__name__}({self.name!r}): expected a positive weight, got {said(self.weight)}"
             )
         object.__setattr__(self, "weight", weight)
+
+    @property
+    def maximised(self) -> bool:
+        """Whether more is better."""
+        return self.sign < 0
 
     def written(self) -> dict[str, Any]:
         """As it stands in TOML."""

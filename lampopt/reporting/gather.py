@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from lampopt.solve import Column, columns
-from lampopt.types import Array, Bank, Result
+from lampopt.types import Array, Bank, Check, Result
 
 T = TypeVar("T")
+COMPARED = ("target", "alpha", "mismatch")  # checks whose values tell designs apart
 FEW = 10  # of the accepted and of the rejected are shown, if there are so many
 
 
@@ -22,7 +24,8 @@ class Line:
 
     `worst` is the check nearest to its limit or farthest beyond, `score` how much of the limit it takes: above 1 the
     design is rejected. `predicted` is what the mix should have of what was asked, and of what is measured for it;
-    `values` are those, with their units, that checks report under their measure's address.
+    `values` are those, with their units, that checks report and do not judge: measures under their address, and others.
+    `judged` has those checks by name that designs are compared by.
     """
 
     number: int
@@ -33,6 +36,25 @@ class Line:
     worst: str
     score: float
     values: Mapping[str, tuple[float, str]]
+    judged: Mapping[str, Check] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One step of a search: design `number` of it has this `value` of the objective, the least of which is sought.
+
+    `violation` is how far the worst constraint is from being met, at most 0 where all are; `seconds` is what it took.
+    """
+
+    number: int
+    value: float
+    violation: float
+    seconds: float
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every constraint is met; NaN does not tell that."""
+        return self.violation <= 0
 
 
 @dataclass(frozen=True)
@@ -124,6 +146,16 @@ def _line(number: int, result: Result, bank: Bank, known: Mapping[str, Column]) 
     mixed = {name: _mixed(known[name], alpha) for name in names if name in known}
     worst = max(result.checks, key=lambda check: check.score, default=None)
     failed = tuple(check.name for check in result.checks if not check.passed)
-    values = {c.name: (c.value, c.unit) for c in result.checks if c.sense == "info" and "." in c.name}
+    values = {c.name: (c.value, c.unit) for c in result.checks if c.sense == "info"}
+    judged = {c.name: c for c in result.checks if c.name in COMPARED}
     name = "" if worst is None else worst.name
-    return Line(number, asked, mixed, result.accepted, failed, name, result.score, values)
+    return Line(number, asked, mixed, result.accepted, failed, name, result.score, values, judged)
+
+
+def evaluations(folder: Path) -> tuple[Evaluation, ...]:
+    """The steps of the search that made the run in `folder`, in their order; none where nothing searched.
+
+    No run folder has such a table yet: once `runs.sqlite` has one, called `evaluations`, it is read here and nowhere
+    else (by `lampopt.database.Reader`, as `lampopt.record` reads designs).
+    """
+    return ()

@@ -241,6 +241,11 @@ def worst(line: Line) -> str:
     return f"{line.worst}: {times(line.score)}"
 
 
+def verdict(line: Line) -> str:
+    """Whether it is accepted, and if not, by what."""
+    return "accepted" if line.accepted else f"rejected by {', '.join(line.failed)}"
+
+
 def times(share: float) -> str:
     """A score as a part of the limit."""
     if share == float("inf"):
