@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class Closed:
     """What the closed loop ends with: the problem and mix of the best turn, and what each name was read as.
 
     `asked` are the corrected values [the bank's units], `read` and `wanted` those measured and those that should have
-    been; `turns` is the number of corrections made.
+    been; `expected` is what the bank's own measurements of what is asked should read; `turns` counts corrections.
     """
 
     posed: Posed
@@ -65,6 +65,7 @@ class Closed:
     read: Mapping[str, float] = field(default_factory=dict)
     wanted: Mapping[str, float] = field(default_factory=dict)
     turns: int = 0
+    expected: Mapping[str, float] = field(default_factory=dict)
 
 
 def measurable(study: Study, bank: Bank) -> dict[str, str]:
@@ -124,7 +125,9 @@ def closed(
         ask |= dict(zip(readings, (at + scale * correction).tolist(), strict=True))
         posed, mix = solve(ask)
     assert best is not None
-    return best[1]
+    bank, found = quantities.bank, best[1]
+    declared = [name for name in study.names if name in bank.measured_by]
+    return replace(found, expected={name: _by_exemplars(bank, name, target, found.mix)[0] for name in declared})
 
 
 def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> Array:
@@ -152,23 +155,22 @@ def _readings(study: Study, quantities: Quantities, target: Mapping[str, float],
 
 
 def _by_exemplars(bank: Bank, name: str, target: Mapping[str, float], mix: Mix) -> tuple[float, float]:
-    """What is read at the parameters that are asked for, by least squares over the exemplars; its change with `name`.
+    """What should be read at the parameters that are asked for, and its change with `name`.
 
-    A measurement may differ from its parameter by an offset, a factor and what other parameters do to it.
+    What `mix` makes of the exemplars' readings, and by their slopes (least squares over the exemplars) from what it
+    reaches to what is asked: a measurement may differ from its parameter by an offset, a factor, and what other
+    parameters do to it.
     """
-    names = [q.name for q in bank.space]
-    at = np.array(predicted(bank, mix.alpha))
-    for k, parameter in enumerate(names):
-        at[k] = target.get(parameter, at[k])
+    reached = predicted(bank, mix.alpha)
+    asked = np.array([target.get(q.name, reached[k]) for k, q in enumerate(bank.space)])
     values = bank.measured[:, [*bank.measured_by].index(name)]
-    middle = bank.parameters.mean(0)
     spread = np.ptp(bank.parameters, axis=0)
     scale = np.where(spread > 0, spread, 1.0)
-    rows = (bank.parameters - middle) / scale
-    slopes = np.linalg.lstsq(rows, values - values.mean(), rcond=1e-8)[0]
-    wanted = float(values.mean() + (at - middle) / scale @ slopes)
-    own = names.index(name)
-    return wanted, float(slopes[own] / scale[own])
+    rows = (bank.parameters - bank.parameters.mean(0)) / scale
+    slopes = np.linalg.lstsq(rows, values - values.mean(), rcond=1e-8)[0] / scale
+    return float(mix.alpha @ values + (asked - reached) @ slopes), float(
+        slopes[[q.name for q in bank.space].index(name)]
+    )
 
 
 def read_checks(study: Study, quantities: Quantities, found: Closed, limits: Limits) -> list[Check]:

@@ -170,7 +170,7 @@ class Task:
                 measured = ", ".join(self.bank.measured_by.values()) or "no measure"
                 with _unaltered(made.mesh, f"one of {measured}, or the decoder,"):
                     resolution = self.study.resolution
-                    wanted = {} if turned is None else turned.wanted
+                    wanted = {} if turned is None else turned.expected
                     checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins, wanted)
                 if made.mesh is None:
                     break  # nothing is left to be measured or judged
