@@ -5,19 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import platform
 import signal
 import threading
 import time
+import uuid
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -25,7 +19,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lampopt.errors import LampoptError, PluginError, StudyError, SweepError
+from lampopt.crew import Crew, lost
+from lampopt.errors import BankError, LampoptError, PluginError, StudyError, SweepError
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
 from lampopt.reading import brief, why
@@ -40,6 +35,7 @@ if TYPE_CHECKING:
 Target = Mapping[str, float]
 PATIENCE = 1.0  # s between two looks at work that may have been cancelled
 log = logging.getLogger("lampopt")
+OPENING = threading.Lock()
 OURS = threading.Event()  # set in the processes that `processes` starts, and nowhere else
 
 
@@ -49,6 +45,7 @@ def judged(
     place: RunFolder | None = None,
     executor: Executor | None = None,
     file: Path | None = None,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
 
@@ -64,6 +61,8 @@ def judged(
         Who makes them instead.
     file
         The bank's, for other processes.
+    ahead
+        How many designs may be under way or done and not taken; by default what suits the executor.
 
     Raises
     ------
@@ -71,7 +70,7 @@ def judged(
         If a worker is lost.
     """
     if executor is not None:
-        yield from _Ahead(task, asked, place, executor, file).results()
+        yield from _Ahead(task, asked, place, executor, file, ahead).results()
         return
     mixes = Mixes(task.posed, task.solver, asked)
     for number, target in enumerate(asked):
@@ -113,13 +112,18 @@ class _Ahead:
     """A few designs more than there are workers are under way; each is recorded as soon as it is there."""
 
     def __init__(
-        self, task: Task, asked: Sequence[Target], place: RunFolder | None, executor: Executor, file: Path | None
+        self,
+        task: Task,
+        asked: Sequence[Target],
+        place: RunFolder | None,
+        executor: Executor,
+        file: Path | None,
+        ahead: int | None,
     ) -> None:
         self._task, self._asked, self._place, self._executor = task, asked, place, executor
         self._mixes = Mixes(task.posed, task.solver, asked)
         self._keys = [task.key(target) for target in asked] if place is not None else []
-        workers = getattr(executor, "_max_workers", 1)  # the standard library's have it
-        self._most = 2 * max(os.cpu_count() or 1, workers if isinstance(workers, int) else 1)
+        self._crew, self._ahead = Crew(executor), ahead
         # Threads share what is open; other processes open it for themselves, once.
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
         self._sent, self._next = dict[int, tuple[Future[_Answer], Mix]](), 0
@@ -133,16 +137,20 @@ class _Ahead:
                 while number in self._sent:
                     self._take()
                 yield self._done.pop(number) if number in self._done else self._read(number)
-        except (BrokenExecutor, CancelledError) as error:
+        except Exception as error:
+            if not lost(error):
+                raise
             self._stop()
             left = "" if self._place is None else f": {state(self._task, self._asked, self._place)}"
-            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{left}") from error
+            said = f" ({why(error)})" if str(error) else ""
+            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{said}{left}") from error
         finally:
             self._stop()
 
     def _send(self) -> None:
         """Keep the workers busy; what is recorded, or under way for the same target, is not made again."""
-        while self._next < len(self._asked) and len(self._sent) + len(self._done) < self._most:
+        most = self._ahead or self._crew.ahead
+        while self._next < len(self._asked) and len(self._sent) + len(self._done) < most:
             number, target = self._next, self._asked[self._next]
             if self._place is None or not (
                 self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
@@ -156,10 +164,12 @@ class _Ahead:
             if self._setup is None:
                 future: object = self._executor.submit(_judge, self._task, target, mix)
             else:
-                future = self._executor.submit(_judge_there, self._setup, dict(target), mix)
-        except (BrokenExecutor, LampoptError):
-            raise
+                # A name of its own: who keeps what equal calls have given, as Dask does, is to make it anew.
+                call = uuid.uuid4().hex
+                future = self._executor.submit(_judge_there, self._setup, dict(target), mix, call)
         except Exception as error:  # whatever a stranger's executor raises
+            if lost(error) or isinstance(error, LampoptError):
+                raise
             raise StudyError(f"executor: expected one that takes work, got one that does not: {why(error)}") from error
         if not isinstance(future, Future):
             raise StudyError(
@@ -172,6 +182,7 @@ class _Ahead:
         futures = [future for future, _ in self._sent.values()]
         while not any(future.done() for future in futures):  # one that is cancelled in its queue wakes nobody
             wait(futures, PATIENCE, FIRST_COMPLETED)
+            self._crew.expect()
         self._keep_finished()
         for future, _ in self._sent.values():
             if future.done():
@@ -220,9 +231,11 @@ def _judge(task: Task, target: Target, mix: Mix) -> _Answer:
     return _Answer(result.checks, "mesh" in known, known.get("mesh"), time.perf_counter() - began)
 
 
-def _judge_there(setup: bytes, target: Target, mix: Mix) -> _Answer:
+def _judge_there(setup: bytes, target: Target, mix: Mix, call: str) -> _Answer:
     with _interruptible():
-        return _judge(_unpacked(setup), target, mix)
+        with OPENING:  # threads of one process would open it once each
+            task = _unpacked(setup)
+        return _judge(task, target, mix)
 
 
 def processes(count: int) -> Executor:
@@ -272,6 +285,11 @@ def _packed(task: Task, file: Path | None) -> bytes:
     extra = [(name, manager.get_plugin(name)) for name, (owner, _) in owners.items() if owner == "not installed"]
     study = replace(task.study, bank=str(file.resolve())).to_toml()
     given = {name: choice for name, choice in task.study.to_be_measured().items() if not isinstance(choice, Spec)}
+    if main := [name for name, choice in given.items() if type(choice).__module__ == "__main__"]:
+        raise StudyError(
+            f"executor: the measures {', '.join(main)} cannot be sent to other processes, which have "
+            "another main program: define them in a module, or use a ThreadPoolExecutor"
+        )
     try:
         objects = pickle.dumps(given)
     except Exception as error:  # whatever a stranger's __reduce__ raises
@@ -290,11 +308,24 @@ def _packed(task: Task, file: Path | None) -> bytes:
 
 @lru_cache(maxsize=1)  # opening the bank reads all of it: once a worker, not once a design
 def _unpacked(setup: bytes) -> Task:
-    text, objects, identity, names, extra = pickle.loads(setup)  # by the process that started this one
+    try:
+        text, objects, identity, names, extra = pickle.loads(setup)  # by the process that this one works for
+        measures = pickle.loads(objects)
+    except Exception as error:  # whatever a stranger's module raises
+        raise PluginError(
+            f"a worker, on {platform.node()}, cannot import a plugin or measure that was sent to it ({why(error)}): "
+            "define it in a module that is installed there too"
+        ) from error
     installed = {point.name for point in entry_points(group="lampopt")}
     study = Study.from_toml(text)
-    study = replace(study, measures={**study.to_be_measured(), **pickle.loads(objects)})
-    task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
+    study = replace(study, measures={**study.to_be_measured(), **measures})
+    try:
+        task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
+    except BankError as error:
+        raise BankError(
+            f"a worker, on {platform.node()}, cannot read the bank: {error}; workers read its file: put it where all "
+            "of them see it by the same path"
+        ) from error
     if task.identity != identity:
         raise PluginError(
             "a worker would make other designs: its bank, plugins or versions differ from those of the process that "

@@ -43,6 +43,7 @@ LAYERS = (
     {"choices"},
     {"study"},
     {"task"},
+    {"crew"},
     {"workers"},
     {"reporting"},
     {"motion"},
@@ -64,7 +65,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.topology",
     "lampopt.types",
 }
-HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich"}
+HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich", "dask"}
 
 
 def dotted(path):
