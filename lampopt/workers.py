@@ -11,7 +11,7 @@ import threading
 import time
 import uuid
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -128,6 +128,7 @@ class _Ahead:
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
         self._sent, self._next = dict[int, tuple[Future[_Answer], Mix]](), 0
         self._done = dict[int, Result]()
+        self._taken = False  # whether the executor has taken any work
 
     def results(self) -> Generator[Result, None, None]:
         """In order."""
@@ -170,11 +171,14 @@ class _Ahead:
         except Exception as error:  # whatever a stranger's executor raises
             if lost(error) or isinstance(error, LampoptError):
                 raise
+            if self._taken:
+                raise BrokenExecutor(f"it takes no more work: {why(error)}") from error
             raise StudyError(f"executor: expected one that takes work, got one that does not: {why(error)}") from error
         if not isinstance(future, Future):
             raise StudyError(
                 f"executor: expected one whose submit returns a concurrent.futures.Future, got {brief(repr(future))}"
             )
+        self._taken = True
         return future
 
     def _take(self) -> None:

@@ -188,14 +188,17 @@ def test_what_dask_keeps_is_not_taken_for_a_new_design(bank, tmp_path, here):
 
 def test_what_a_worker_raises_is_raised_here_each_time_anew(bank, tmp_path, here):
     study, plugins = Study(bank, measures=("garbage",)), [("extra", lethal.Plugin())]
+    held = []
     for _ in range(2):
         small.CALLS.clear()
-        with pytest.raises(PluginError, match=r"measure 'garbage': expected values of shape") as held:
-            list(sweep(study, tmp_path / "run", here, extra=plugins))
-        assert small.CALLS["decode"], held  # as long as it is held, Dask keeps what has failed
+        with pytest.raises(PluginError, match=r"measure 'garbage': expected values of shape") as error:
+            list(sweep(study, tmp_path / "run", here, {"length": [2.5]}, plugins))
+        held.append(error)  # as long as it is, Dask keeps what has failed
+        assert small.CALLS["decode"]
 
 
-def test_a_sweep_that_is_left_gives_its_designs_up(bank, tmp_path, here):
+def test_a_sweep_that_is_left_gives_its_designs_up(bank, tmp_path, here, monkeypatch):
+    monkeypatch.setenv("SMALL_SLOW", "0.2")
     begun = sweep(Study(bank), tmp_path / "run", here, MANY)
     next(begun)
     assert here.futures

@@ -164,6 +164,16 @@ def test_any_executor(bank, tmp_path):
         next(sweep(Study(bank), tmp_path / "other", over))
 
 
+def test_one_that_takes_no_more_work(bank, tmp_path):
+    with ThreadPoolExecutor(1) as threads:
+        begun = sweep(Study(bank), tmp_path, threads, ahead=2)
+        next(begun)
+        threads.shutdown(wait=True)
+        with pytest.raises(SweepError, match=r"lost: .*it takes no more work: cannot schedule.*: 2 of 8 designs are done"):
+            next(begun)
+            next(begun)
+
+
 class Strange:
     """An executor of threads that is none of the standard library's."""
 
