@@ -26,7 +26,7 @@ class Crew:
 
     def __init__(self, executor: Executor) -> None:
         client, workers = getattr(executor, "_client", None), getattr(executor, "_max_workers", None)
-        self._client: Any = client if _clusters(client) else None
+        self._client: Any = client if clusters(client) else None
         self._count = workers if isinstance(workers, int) else None
         self._had, self._looked, self._none_since = False, -math.inf, math.inf
 
@@ -78,8 +78,9 @@ def _patience() -> float:
 
 def lost(error: Exception) -> bool:
     """Whether `error` says that workers are lost, not that a design failed: it is the executor's own."""
-    return isinstance(error, BrokenExecutor | CancelledError) or _clusters(error)
+    return isinstance(error, BrokenExecutor | CancelledError) or clusters(error)
 
 
-def _clusters(thing: object) -> bool:
+def clusters(thing: object) -> bool:
+    """Whether a client or an error is Dask's; an error then says what became of a design, not what is wrong with it."""
     return any(cls.__module__.partition(".")[0] == "distributed" for cls in type(thing).__mro__)

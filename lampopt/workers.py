@@ -19,7 +19,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lampopt.crew import Crew, lost
+from lampopt.crew import Crew, clusters, lost
 from lampopt.errors import BankError, LampoptError, PluginError, StudyError, SweepError
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
@@ -188,9 +188,14 @@ class _Ahead:
             wait(futures, PATIENCE, FIRST_COMPLETED)
             self._crew.expect()
         self._keep_finished()
-        for future, _ in self._sent.values():
+        for number, (future, _) in self._sent.items():
             if future.done():
-                future.result()  # raises: the others are recorded
+                try:
+                    future.result()  # raises: the others are recorded
+                except Exception as error:
+                    if clusters(error):  # it gives up this one design; a pool of processes any that it had
+                        raise BrokenExecutor(f"design {dict(self._asked[number])}: {why(error)}") from error
+                    raise
 
     def _keep_finished(self) -> None:
         for number, (future, mix) in list(self._sent.items()):

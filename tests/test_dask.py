@@ -50,11 +50,14 @@ def cluster(folder, workers=2, threads=1, processes=True, **options):
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory):
-    """Two workers whose designs take a while."""
+    """Two workers whose designs take a while; one kills its worker if its length stands in the file `fatal`."""
+    folder = tmp_path_factory.mktemp("dask")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SMALL_SLOW", "0.05")
-        running = cluster(tmp_path_factory.mktemp("dask"))
+        patch.setenv("LETHAL", str(folder / "fatal"))
+        running = cluster(folder)
         client = running.__enter__()
+    client.fatal = folder / "fatal"
     yield client
     running.__exit__(None, None, None)
 
@@ -82,9 +85,8 @@ class Recorded:
         self.times[json.dumps(dict(result.design.target))] += 1
 
 
-@pytest.mark.parametrize("level", ["alpha", "mesh"])
-def test_a_cluster_makes_the_same_designs_in_the_same_order(bank, tmp_path, processes, level):
-    study = Study(bank, measures=("size",), level=level)
+def test_a_cluster_makes_the_same_designs_in_the_same_order(bank, tmp_path, processes):
+    study = Study(bank, measures=("size",))
     alone = list(sweep(study, tmp_path / "alone"))
     together = list(sweep(study, tmp_path / "together", processes))
     assert [told(r) for r in together] == [told(r) for r in alone]
@@ -115,19 +117,14 @@ def test_one_worker_killed_in_the_middle(bank, tmp_path, processes):
     assert set(processes.run(os.getpid).values()) != set(before.values())
 
 
-def test_a_design_that_kills_its_workers_is_a_lost_worker(bank, tmp_path, monkeypatch):
-    fatal = tmp_path / "fatal"
-    fatal.write_text("2.5")
-    monkeypatch.setenv("LETHAL", str(fatal))
+def test_a_design_that_kills_its_workers_is_named(bank, tmp_path, processes):
     study, plugins = Study(bank, measures=("dies",)), [("extra", lethal.Plugin())]
-    with (
-        cluster(tmp_path / "dask", 1, **{"distributed.scheduler.allowed-failures": 0}) as client,
-        pytest.raises(SweepError, match=r"a worker was lost: .*workers died.*\d of 8 designs are done and kept in"),
-    ):
-        list(sweep(study, tmp_path / "run", client, extra=plugins))
-    fatal.unlink()
-    recorded = Recorded()
-    done = len(rows(tmp_path / "run"))
+    processes.fatal.write_text("2.5")
+    processes.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    with pytest.raises(SweepError, match=r"lost: .*\(design {'length': .*workers died.*: \d of 8 designs are done"):
+        list(sweep(study, tmp_path / "run", processes, extra=plugins))
+    processes.fatal.unlink()
+    recorded, done = Recorded(), len(rows(tmp_path / "run"))
     assert len(list(sweep(study, tmp_path / "run", extra=[*plugins, ("observer", recorded)]))) == 8
     assert sum(recorded.times.values()) == 8 - done
 
@@ -167,8 +164,10 @@ def test_the_first_worker_is_waited_for(bank, tmp_path, monkeypatch):
 
 def test_dask_says_itself_how_long_workers_are_waited_for(tmp_path):
     with (
-        cluster(tmp_path / "dask", 0, processes=False, **{"distributed.scheduler.no-workers-timeout": "1 s"}) as client,
-        pytest.raises(SweepError, match=r"a worker was lost: .*timed out after 1.00 s waiting.*: 0 of 8 designs"),
+        cluster(
+            tmp_path / "dask", 0, processes=False, **{"distributed.scheduler.no-workers-timeout": "500 ms"}
+        ) as client,
+        pytest.raises(SweepError, match=r"a worker was lost: .*timed out after 500.00 ms waiting.*: 0 of 8 designs"),
     ):
         list(sweep(Study(small.bank()), tmp_path / "run", client))
 

@@ -169,7 +169,9 @@ def test_one_that_takes_no_more_work(bank, tmp_path):
         begun = sweep(Study(bank), tmp_path, threads, ahead=2)
         next(begun)
         threads.shutdown(wait=True)
-        with pytest.raises(SweepError, match=r"lost: .*it takes no more work: cannot schedule.*: 2 of 8 designs are done"):
+        with pytest.raises(
+            SweepError, match=r"lost: .*it takes no more work: cannot schedule.*: 2 of 8 designs are done"
+        ):
             next(begun)
             next(begun)
 
