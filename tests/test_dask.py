@@ -36,12 +36,12 @@ def bank():
 
 
 @contextmanager
-def cluster(folder, workers=2, threads=1, processes=True, **options):
+def cluster(folder, workers=2, threads=1, config=None, **options):
     """A client of a cluster of this machine: processes behind TCP, or threads of this process."""
     with (
-        dask.config.set({"temporary-directory": str(folder), **options}),
+        dask.config.set({"temporary-directory": str(folder), **(config or {})}),
         distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=threads, processes=processes, dashboard_address="127.0.0.1:0"
+            n_workers=workers, threads_per_worker=threads, dashboard_address="127.0.0.1:0", **options
         ) as made,
         distributed.Client(made) as client,
     ):
@@ -52,14 +52,10 @@ def cluster(folder, workers=2, threads=1, processes=True, **options):
 def processes(tmp_path_factory):
     """Two workers whose designs take a while; one kills its worker if its length stands in the file `fatal`."""
     folder = tmp_path_factory.mktemp("dask")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SMALL_SLOW", "0.05")
-        patch.setenv("LETHAL", str(folder / "fatal"))
-        running = cluster(folder)
-        client = running.__enter__()
-    client.fatal = folder / "fatal"
-    yield client
-    running.__exit__(None, None, None)
+    env = {"SMALL_SLOW": "0.05", "LETHAL": str(folder / "fatal")}
+    with cluster(folder, processes=True, env=env) as client:
+        client.fatal = folder / "fatal"
+        yield client
 
 
 @pytest.fixture
@@ -165,7 +161,7 @@ def test_the_first_worker_is_waited_for(bank, tmp_path, monkeypatch):
 def test_dask_says_itself_how_long_workers_are_waited_for(tmp_path):
     with (
         cluster(
-            tmp_path / "dask", 0, processes=False, **{"distributed.scheduler.no-workers-timeout": "500 ms"}
+            tmp_path / "dask", 0, processes=False, config={"distributed.scheduler.no-workers-timeout": "500 ms"}
         ) as client,
         pytest.raises(SweepError, match=r"a worker was lost: .*timed out after 500.00 ms waiting.*: 0 of 8 designs"),
     ):
