@@ -36,20 +36,20 @@ class Chain:
     bank: Bank
     decoder: Decoder
     resolution: int
-    _last: dict[bytes, Trimesh | None] = field(default_factory=dict, repr=False)
+    _last: list[tuple[bytes, Trimesh | None]] = field(default_factory=lambda: [(b"", None)], repr=False)
 
     def mesh(self, alpha: Array) -> Trimesh | None:
         """The mesh [user's unit] of alpha (N,); None where it has no surface. The last one is kept."""
         key = np.asarray(alpha, float).tobytes()
-        if key not in self._last:
-            self._last.clear()
+        known, mesh = self._last[0]  # in one step: threads may share a chain
+        if known != key:
+            weights = mixed_weights(self.bank, alpha)
             try:
-                self._last[key] = decode(
-                    self.bank, self.decoder, mixed_weights(self.bank, alpha), resolution=self.resolution
-                )
+                mesh = decode(self.bank, self.decoder, weights, resolution=self.resolution)
             except EmptyMesh:
-                self._last[key] = None
-        return self._last[key]
+                mesh = None
+            self._last[0] = key, mesh
+        return mesh
 
     def back(self, alpha: Array, by_vertices: Array) -> Array:
         """(N,) from a gradient (V, 3) by the vertices of `mesh(alpha)` [1/user's unit].

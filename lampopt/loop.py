@@ -106,6 +106,7 @@ def sweep(
     folder: str | Path | None = None,
     *,
     executor: Executor | None = None,
+    ahead: int | None = None,
     report: bool = True,
     progress: Progress | None = None,
     plugins: Plugins | None = None,
@@ -122,8 +123,12 @@ def sweep(
     folder
         Where results are recorded. Designs that are there already are read back, not computed again.
     executor
-        Who makes them, as in `concurrent.futures`, many at once; by default this process, one after the other. The
-        results are the same. Other processes read the bank from its file, or from `folder`. It is not shut down.
+        Who makes them, as in `concurrent.futures`, many at once: threads, processes, a Dask cluster
+        (``client.get_executor()``); by default this process, one after the other. The results are the same. Other
+        processes read the bank from its file, or from `folder`. It is not shut down.
+    ahead
+        How many designs the executor may have, under way or done and not taken. Default: twice its workers, as far as
+        it tells, or twice this machine's cores if that is more.
     report
         Whether `report.html` is written into `folder` when all are there.
     progress
@@ -141,6 +146,10 @@ def sweep(
     _expect_study(study)
     if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "submit", None))):
         raise StudyError(f"executor: expected one as in concurrent.futures, with submit, got {executor!r:.80}")
+    if ahead is not None and (executor is None or isinstance(ahead, bool) or not isinstance(ahead, int) or ahead < 1):
+        raise StudyError(
+            f"ahead: expected a whole number from 1 and an executor, got {ahead!r:.80} and {executor!r:.80}"
+        )
     if grid is not None:  # tables have no place in a study
         study = replace(study, sweep=grid if isinstance(grid, Mapping) else {}, experiments=None)
     changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else _tables(grid)
@@ -149,7 +158,7 @@ def sweep(
     task = Task.of(study, plugins)
     if study.experiments is not None:
         changes = study.experiments.tables(task.bank)
-    return _results(task, changes, folder, progress, executor, report)
+    return _results(task, changes, folder, progress, executor, report, ahead)
 
 
 def results(folder: str | Path, *, every: bool = False, plugins: Plugins | None = None) -> Iterator[Result]:
@@ -233,12 +242,13 @@ def _results(
     progress: Progress | None,
     executor: Executor | None,
     report: bool,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     """Check every target first, then yield the results one by one."""
     asked = [task.asked(change) for change in changes]
     for target in {tuple(target): target for target in asked}.values():  # one for each set of names
         task.posed(target)  # raises here, before the first design, what cannot be asked
-    return _yield(task, asked, folder, progress, executor, report)
+    return _yield(task, asked, folder, progress, executor, report, ahead)
 
 
 def _yield(
@@ -248,6 +258,7 @@ def _yield(
     progress: Progress | None,
     executor: Executor | None,
     report: bool,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     tell = progress or (lambda done, message="": None)
     with RunFolder.open(folder) if folder is not None else nullcontext() as place:
@@ -259,7 +270,8 @@ def _yield(
             place.write_study(replace(task.study, bank=name).to_toml(), task.identity, keys)
         elif executor is not None and task.bank.path is not None and _holds(task.bank.path, task.bank):
             file = task.bank.path
-        with _said_when_stopped(task, asked, place), closing(judged(task, asked, place, executor, file)) as made:
+        made = judged(task, asked, place, executor, file, ahead)
+        with _said_when_stopped(task, asked, place), closing(made):
             for number in range(len(asked)):
                 tell(number / len(asked), f"design {number + 1} of {len(asked)}")
                 yield next(made)

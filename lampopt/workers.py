@@ -5,19 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import platform
 import signal
 import threading
 import time
+import uuid
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -25,7 +19,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lampopt.errors import LampoptError, PluginError, StudyError, SweepError
+from lampopt.crew import Crew, clusters, lost
+from lampopt.errors import BankError, LampoptError, PluginError, StudyError, SweepError
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
 from lampopt.reading import brief, why
@@ -41,6 +36,7 @@ if TYPE_CHECKING:
 Target = Mapping[str, float]
 PATIENCE = 1.0  # s between two looks at work that may have been cancelled
 log = logging.getLogger("lampopt")
+OPENING = threading.Lock()
 OURS = threading.Event()  # set in the processes that `processes` starts, and nowhere else
 
 
@@ -50,6 +46,7 @@ def judged(
     place: RunFolder | None = None,
     executor: Executor | None = None,
     file: Path | None = None,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
 
@@ -65,6 +62,8 @@ def judged(
         Who makes them instead.
     file
         The bank's, for other processes.
+    ahead
+        How many designs may be under way or done and not taken; by default what suits the executor.
 
     Raises
     ------
@@ -72,7 +71,7 @@ def judged(
         If a worker is lost.
     """
     if executor is not None:
-        yield from _Ahead(task, asked, place, executor, file).results()
+        yield from _Ahead(task, asked, place, executor, file, ahead).results()
         return
     mixes = Mixes(task.posed, task.solver, asked)
     for number, target in enumerate(asked):
@@ -116,17 +115,23 @@ class _Ahead:
     """A few designs more than there are workers are under way; each is recorded as soon as it is there."""
 
     def __init__(
-        self, task: Task, asked: Sequence[Target], place: RunFolder | None, executor: Executor, file: Path | None
+        self,
+        task: Task,
+        asked: Sequence[Target],
+        place: RunFolder | None,
+        executor: Executor,
+        file: Path | None,
+        ahead: int | None,
     ) -> None:
         self._task, self._asked, self._place, self._executor = task, asked, place, executor
         self._mixes = Mixes(task.posed, task.solver, asked)
         self._keys = [task.key(target) for target in asked] if place is not None else []
-        workers = getattr(executor, "_max_workers", 1)  # the standard library's have it
-        self._most = 2 * max(os.cpu_count() or 1, workers if isinstance(workers, int) else 1)
+        self._crew, self._ahead = Crew(executor), ahead
         # Threads share what is open; other processes open it for themselves, once.
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
         self._sent, self._next = dict[int, Future[_Answer]](), 0
         self._done = dict[int, Result]()
+        self._taken = False  # whether the executor has taken any work
 
     def results(self) -> Generator[Result, None, None]:
         """In order."""
@@ -136,16 +141,20 @@ class _Ahead:
                 while number in self._sent:
                     self._take()
                 yield self._done.pop(number) if number in self._done else self._read(number)
-        except (BrokenExecutor, CancelledError) as error:
+        except Exception as error:
+            if not lost(error):
+                raise
             self._stop()
             left = "" if self._place is None else f": {state(self._task, self._asked, self._place)}"
-            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{left}") from error
+            said = f" ({why(error)})" if str(error) else ""
+            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{said}{left}") from error
         finally:
             self._stop()
 
     def _send(self) -> None:
         """Keep the workers busy; what is recorded, or under way for the same target, is not made again."""
-        while self._next < len(self._asked) and len(self._sent) + len(self._done) < self._most:
+        most = self._ahead or self._crew.ahead
+        while self._next < len(self._asked) and len(self._sent) + len(self._done) < most:
             number, target = self._next, self._asked[self._next]
             if self._place is None or not (
                 self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
@@ -160,15 +169,20 @@ class _Ahead:
             if self._setup is None:
                 future: object = self._executor.submit(_judge, self._task, target, mix)
             else:
-                future = self._executor.submit(_judge_there, self._setup, dict(target), mix)
-        except (BrokenExecutor, LampoptError):
-            raise
+                # A name of its own: who keeps what equal calls have given, as Dask does, is to make it anew.
+                call = uuid.uuid4().hex
+                future = self._executor.submit(_judge_there, self._setup, dict(target), mix, call)
         except Exception as error:  # whatever a stranger's executor raises
+            if lost(error) or isinstance(error, LampoptError):
+                raise
+            if self._taken:
+                raise BrokenExecutor(f"it takes no more work: {why(error)}") from error
             raise StudyError(f"executor: expected one that takes work, got one that does not: {why(error)}") from error
         if not isinstance(future, Future):
             raise StudyError(
                 f"executor: expected one whose submit returns a concurrent.futures.Future, got {brief(repr(future))}"
             )
+        self._taken = True
         return future
 
     def _take(self) -> None:
@@ -176,10 +190,16 @@ class _Ahead:
         futures = [*self._sent.values()]
         while not any(future.done() for future in futures):  # one that is cancelled in its queue wakes nobody
             wait(futures, PATIENCE, FIRST_COMPLETED)
+            self._crew.expect()
         self._keep_finished()
-        for future in self._sent.values():
+        for number, future in self._sent.items():
             if future.done():
-                future.result()  # raises: the others are recorded
+                try:
+                    future.result()  # raises: the others are recorded
+                except Exception as error:
+                    if clusters(error):  # it gives up this one design; a pool of processes any that it had
+                        raise BrokenExecutor(f"design {dict(self._asked[number])}: {why(error)}") from error
+                    raise
 
     def _keep_finished(self) -> None:
         for number, future in list(self._sent.items()):
@@ -233,9 +253,11 @@ def _judge(task: Task, target: Target, mix: Mix | None) -> _Answer:
     )
 
 
-def _judge_there(setup: bytes, target: Target, mix: Mix | None) -> _Answer:
+def _judge_there(setup: bytes, target: Target, mix: Mix | None, call: str) -> _Answer:
     with _interruptible():
-        return _judge(_unpacked(setup), target, mix)
+        with OPENING:  # threads of one process would open it once each
+            task = _unpacked(setup)
+        return _judge(task, target, mix)
 
 
 def processes(count: int) -> Executor:
@@ -286,6 +308,11 @@ def _packed(task: Task, file: Path | None) -> bytes:
     study = replace(task.study, bank=str(file.resolve())).to_toml()
     given = {name: choice for name, choice in task.study.to_be_measured().items() if not isinstance(choice, Spec)}
     models = {name: choice for name, choice in task.study.models.items() if not isinstance(choice, str | Path)}
+    if main := [name for name, choice in (*given.items(), *models.items()) if type(choice).__module__ == "__main__"]:
+        raise StudyError(
+            f"executor: the measures or models {', '.join(main)} cannot be sent to other processes, which have "
+            "another main program: define them in a module, or use a ThreadPoolExecutor"
+        )
     try:
         objects = pickle.dumps((given, models))
     except Exception as error:  # whatever a stranger's __reduce__ raises
@@ -304,12 +331,24 @@ def _packed(task: Task, file: Path | None) -> bytes:
 
 @lru_cache(maxsize=1)  # opening the bank reads all of it: once a worker, not once a design
 def _unpacked(setup: bytes) -> Task:
-    text, objects, identity, names, extra = pickle.loads(setup)  # by the process that started this one
+    try:
+        text, objects, identity, names, extra = pickle.loads(setup)  # by the process that this one works for
+        measures, models = pickle.loads(objects)
+    except Exception as error:  # whatever a stranger's module raises
+        raise PluginError(
+            f"a worker, on {platform.node()}, cannot import a plugin or measure that was sent to it ({why(error)}): "
+            "define it in a module that is installed there too"
+        ) from error
     installed = {point.name for point in entry_points(group="lampopt")}
     study = Study.from_toml(text)
-    measures, models = pickle.loads(objects)
     study = replace(study, measures={**study.to_be_measured(), **measures}, models={**study.models, **models})
-    task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
+    try:
+        task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
+    except BankError as error:
+        raise BankError(
+            f"a worker, on {platform.node()}, cannot read the bank: {error}; workers read its file: put it where all "
+            "of them see it by the same path"
+        ) from error
     if task.identity != identity:
         raise PluginError(
             "a worker would make other designs: its bank, plugins or versions differ from those of the process that "

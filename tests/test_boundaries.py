@@ -59,6 +59,7 @@ LAYERS = (
     {"study"},
     {"wishes", "closing"},
     {"task"},
+    {"crew"},
     {"workers"},
     {"reporting"},
     {"explore", "motion"},
@@ -84,7 +85,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.threads",
     "lampopt.types",
 }
-HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich"}
+HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich", "dask"}
 
 
 def dotted(path):
