@@ -8,7 +8,7 @@ turn then teaches how they really go together (Broyden, 1965). The best of all t
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,11 +68,11 @@ class Closed:
     expected: Mapping[str, float] = field(default_factory=dict)
 
 
-def measurable(study: Study, bank: Bank) -> dict[str, str]:
+def measurable(study: Study, bank: Bank, asked: Iterable[str]) -> dict[str, str]:
     """Which measured value tells an asked one, by name: what the study says, then what the bank declares."""
     return {
         name: address
-        for name in study.names
+        for name in asked
         if (address := study.measured.get(name) or bank.measured_by.get(name)) is not None
     }
 
@@ -126,7 +126,7 @@ def closed(
         posed, mix = solve(ask)
     assert best is not None
     bank, found = quantities.bank, best[1]
-    declared = [name for name in study.names if name in bank.measured_by]
+    declared = [name for name in target if name in bank.measured_by]
     return replace(found, expected={name: _by_exemplars(bank, name, target, found.mix)[0] for name in declared})
 
 
@@ -136,7 +136,7 @@ def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> 
 
 def _readings(study: Study, quantities: Quantities, target: Mapping[str, float], mix: Mix) -> dict[str, Reading]:
     bank, found = quantities.bank, dict[str, Reading]()
-    for name, address in measurable(study, bank).items():
+    for name, address in measurable(study, bank, target).items():
         column, quantity = quantities[name].column, quantities.measured(address)
         if column is None:
             continue  # its term sees every mesh already

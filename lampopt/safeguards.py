@@ -47,6 +47,7 @@ class Mismatch:
     decoder: Decoder
     whole: Callable[[Array], Array]
     active: Array
+    rough = True
 
     @cached_property
     def _probes(self) -> Array:

@@ -188,9 +188,8 @@ class Study:
                 raise StudyError(f"{name!r} is asked for twice: name it in one of targets, keep, ranges and objective")
         if isinstance(self.objective, Reduce) and self.reference is None:
             raise StudyError(f"objective: {self.objective} needs a reference; name an exemplar")
-        for name in ("hard", "weights", "measured"):
-            if unknown := sorted(set(getattr(self, name)) - set(asked)):
-                raise StudyError(f"{name}: {brief(unknown)} are not asked for; asked for are {brief(asked)}")
+        if unknown := sorted(set(self.hard) - set(asked)):
+            raise StudyError(f"hard: {brief(unknown)} are not asked for; asked for are {brief(asked)}")
 
     def opened(self) -> Bank:
         """The bank, loaded if the study names a file."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from lampopt.chain import Chain
 from lampopt.protocols import Measure, Model, Symbolic
-from lampopt.types import Array, Term
+from lampopt.types import Array, Term, rough
 
 Whole = Callable[[Array], Array]
 
@@ -103,6 +103,7 @@ class MeasuredValue:
     chain: Chain
     whole: Whole
     active: Array
+    rough = True
 
     def __call__(self, alpha: Array) -> tuple[float, Array | None]:
         """Value and gradient; None where the measure or the decoder has no derivatives."""
@@ -123,6 +124,11 @@ class Shaped:
     factor: float
     power: int = 1
     weight: float = 1.0
+
+    @property
+    def rough(self) -> bool:
+        """As the term's."""
+        return rough(self.term)
 
     def __call__(self, alpha: Array) -> tuple[float, Array | None]:
         """Value and gradient."""
@@ -156,6 +162,11 @@ class Remembered:
     name: str
     known: dict[bytes, tuple[float, Array | None]] = field(default_factory=dict)
     tell: Callable[[str, Array, float, Array | None], None] = lambda name, alpha, value, gradient: None
+
+    @property
+    def rough(self) -> bool:
+        """As the term's."""
+        return rough(self.term)
 
     def __call__(self, alpha: Array) -> tuple[float, Array | None]:
         """Value and gradient."""

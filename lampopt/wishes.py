@@ -19,6 +19,7 @@ from lampopt.goals import Linear, Minimise
 from lampopt.mixes import Target
 from lampopt.protocols import Decoder
 from lampopt.quantities import Quantities, Quantity, inputs_of
+from lampopt.reading import brief
 from lampopt.safeguards import safeguard
 from lampopt.solve import Column, Posed, pose
 from lampopt.study import Study
@@ -81,6 +82,9 @@ class Wishes:
     def posed(self, target: Target) -> Posed:
         """The problem that `target` [the bank's units] poses, and its terms."""
         study, known = self.study, {name: self.quantities[name] for name in target}
+        for what, table in (("weights", study.weights), ("measured", study.measured)):
+            if unknown := sorted(set(table) - set(target)):
+                raise StudyError(f"{what}: {brief(unknown)} are not asked for; asked for are {brief(list(target))}")
         linear = {name: value for name, value in target.items() if known[name].column is not None}
         bounds = study.bounds(self.quantities)
         ranges = {name: pair for name, pair in bounds.items() if self.quantities[name].column is not None}

@@ -210,6 +210,18 @@ def test_weights_tell_what_gives_way(bank):
     assert values(tipped)["length"] == pytest.approx(2.85, abs=1e-5)
 
 
+@pytest.mark.parametrize("asked", [{"weights": {"width": 2.0}}, {"measured": {"width": "extents.width"}}])
+def test_what_is_not_asked_for_has_no_weight_and_no_measure(bank, asked):
+    with pytest.raises(
+        StudyError, match=rf"{next(iter(asked))}: \['width'\] are not asked for; asked for are \['length'\]"
+    ):
+        run(bank, targets={"length": 2.5}, **asked)
+    (grown,) = lampopt.sweep(
+        Study(bank, targets={"length": 2.5}, level="alpha", **asked), {"width": [1.2]}, plugins=PLUGINS
+    )
+    assert grown.accepted
+
+
 def test_ridge_norm_and_bounds_reach_the_solver(bank):
     near = run(bank, targets={"length": 2.9}, ridge=100.0)
     assert values(near)["length"] < 2.6
@@ -396,7 +408,6 @@ def test_a_study_with_every_wish_comes_back_from_toml(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"weights": {"length": 1.0}}, r"weights: \['length'\] are not asked for"),
         ({"targets": {"length": 1}, "weights": {"length": 0}}, "weights: length: expected a positive number"),
         ({"linear": {"s": {"of": {}}}}, "linear: expected factors by name"),
         ({"linear": {"s": {"of": {"a": 1}}}}, "linear: expected low ≤ high, one of them a number"),
@@ -410,7 +421,6 @@ def test_a_study_with_every_wish_comes_back_from_toml(tmp_path):
         ({"turns": True}, "turns: expected a whole number"),
         ({"models": {"a.b": "x"}}, "models: expected a name without dots"),
         ({"models": {"a": 5}}, "models: a: expected the file of a model"),
-        ({"measured": {"length": "extents.length"}}, r"measured: \['length'\] are not asked for"),
         ({"targets": {"length": 1}, "measured": {"length": 5}}, "measured: length: expected an address"),
         ({"objective": Reduce("drag", by=0.1)}, "needs a reference"),
     ],

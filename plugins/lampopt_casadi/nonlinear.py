@@ -178,9 +178,9 @@ class _Program:
                 "max_iter": self.iterations,
                 "tol": 1e-10,
                 "constr_viol_tol": 1e-10,
-                "acceptable_tol": 1e-4,  # where a term has the noise of single precision, as meshes do
+                "acceptable_iter": 8 if self.outside.rough else 0,
+                "acceptable_tol": 1e-4,  # a slope that noise does not let become less
                 "acceptable_obj_change_tol": 1e-9,
-                "acceptable_iter": 8,
                 "bound_relax_factor": 0.0,
                 "hessian_approximation": "exact" if self.exact else "limited-memory",
             },
