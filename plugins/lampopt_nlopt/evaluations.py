@@ -63,6 +63,14 @@ class Point:
             return self.cost < other.cost
         return self.violation < other.violation
 
+    def gained(self, before: Point | None, tolerance: float) -> bool:
+        """Whether this is better than a point before by more than `tolerance` of what is to be gained upon."""
+        if before is None:
+            return True
+        if max(before.violation, self.violation) > HELD:
+            return before.violation - self.violation > tolerance * self.violation
+        return before.cost - self.cost > tolerance * abs(self.cost)
+
 
 @dataclass(eq=False)
 class Evaluations:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +16,14 @@ from .least import Lines, Squares
 from .search import BY_SLOPE, FROM_WITHIN, REACHED, SLACK, Met, Search
 from .space import Space
 
+if TYPE_CHECKING:
+    from .solver import NLopt
+
 FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the centre
 EACH = 8  # evaluations a variable from which bobyqa finds more than cobyla
 MANY = 300  # variables beyond which slsqp, cubic in their number, takes longer than a mesh
 LATE = 5  # an end so soon after a point without a value was forced by it
+NOTHING = "hard rows leave nothing to search"
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
 
 
@@ -44,19 +49,14 @@ class Nonlinear:
         What is to be met of it that is linear, after it gave way where no alpha meets it.
     squares
         Its other rows and ridge.
-    algorithm, evaluations, seconds, tolerance, step, everywhere
-        Options of `NLopt`; `everywhere` stands for search="all".
+    options
+        How to search.
     """
 
     problem: Problem
     lines: Lines
     squares: Squares
-    algorithm: str
-    evaluations: int
-    seconds: float
-    tolerance: float
-    step: float
-    everywhere: bool
+    options: NLopt
 
     def search(self, near: Array) -> Found:
         """Search from `near` (N,), which meets the lines.
@@ -66,12 +66,13 @@ class Nonlinear:
         SolveError
             If the algorithm needs derivatives that a term does not tell.
         """
+        options, everywhere = self.options, self.options.search == "all"
         exact = self.lines.low == self.lines.high
         equal, within = self.lines.taken(exact), self.lines.taken(~exact)
         with one_thread():
-            space = Space.around(near, equal, None if self.everywhere else self.problem.directions, self.step)
+            space = Space.around(near, equal, None if everywhere else self.problem.directions, options.step)
             middle, _ = equal.free(self.problem.centre)
-        evaluations = Evaluations(self.problem, self.squares, within, self.evaluations, self.seconds)
+        evaluations = Evaluations(self.problem, self.squares, within, int(options.evaluations), options.seconds)
         tried: list[str] = []
         try:
             first = evaluations(space.start)
@@ -85,56 +86,50 @@ class Nonlinear:
     def _run(self, evaluations: Evaluations, space: Space, first: Point, tried: list[str]) -> str:
         """Search from the start of `space`, known as `first`; why it ended. `tried` grows by the algorithms."""
         if not (count := space.axes.shape[1]):
-            return "hard rows leave nothing to search" + ("" if self.everywhere else ", search='all' may find more")
+            return NOTHING if self.options.search == "all" else f"{NOTHING}, search='all' may find more"
         algorithm = self._algorithm(first, count, bool(len(space.along(evaluations.within).rows)))
         while True:
             tried.append(algorithm)
             before = evaluations.best
             why = self._once(algorithm, evaluations, space, before or first)
             forced = why != REACHED or any(evaluations.count - lost < LATE for lost in evaluations.lost)
-            then = "cobyla" if self.algorithm == "auto" else algorithm
-            if evaluations.best is None or not forced or (then == algorithm and not self._gained(before, evaluations)):
+            then, best = "cobyla" if self.options.algorithm == "auto" else algorithm, evaluations.best
+            if best is None or not forced or (then == algorithm and not best.gained(before, self.options.tolerance)):
                 return why
-            algorithm, space = then, space.at(evaluations.best.alpha)
+            left = self.options.evaluations - evaluations.count
+            if (then in BY_SLOPE and not best.steep) or (then not in BY_SLOPE and left <= count):
+                return why
+            algorithm, space = then, space.at(best.alpha)
 
     def _once(self, algorithm: str, evaluations: Evaluations, space: Space, first: Point) -> str:
-        search = Search(algorithm, evaluations, space, self.tolerance)
+        search = Search(algorithm, evaluations, space, self.options.tolerance)
         if algorithm not in BY_SLOPE:
             return search.run()
         slope = float(np.linalg.norm(space.axes.T @ first.slope))
-        search = replace(search, unit=max(slope, self.tolerance * abs(first.cost)) or 1.0)
+        search = replace(search, unit=max(slope, self.options.tolerance * abs(first.cost)) or 1.0)
         try:
             return replace(search, until_met=algorithm in FROM_WITHIN and first.violation > SLACK).run()
         except Met as met:
             return replace(search, space=space.at(met.point.alpha)).run()
 
-    def _gained(self, before: Point | None, evaluations: Evaluations) -> bool:
-        now = evaluations.best
-        if before is None or now is None:
-            return before is not now
-        if max(before.violation, now.violation) > HELD:
-            return before.violation - now.violation > self.tolerance * now.violation
-        return before.cost - now.cost > self.tolerance * abs(now.cost)
-
     def _algorithm(self, first: Point, count: int, within: bool) -> str:
         """What searches `count` variables, with or without ranges and bounds, from `first`."""
-        p = self.problem
-        if self.algorithm == "auto":
+        p, chosen = self.problem, self.options.algorithm
+        if chosen == "auto":
             if first.steep and len(p.equalities) <= count:
                 return "ccsaq" if count > MANY and not p.equalities else "slsqp"
             free = not (within or p.constraints or p.equalities)
-            return "bobyqa" if free and 1 < count <= self.evaluations / EACH else "cobyla"
-        if self.algorithm in BY_SLOPE and not first.steep:
-            names = ", ".join(first.level) or "the terms"
+            return "bobyqa" if free and 1 < count <= self.options.evaluations / EACH else "cobyla"
+        if chosen in BY_SLOPE and not first.steep:
             raise SolveError(
-                f"{names}: no derivatives at the start, which algorithm {self.algorithm!r} of solver 'nlopt' needs: "
-                "choose 'cobyla', 'bobyqa' or 'auto'"
+                f"{', '.join(first.level) or 'a term'}: has no gradient at the start, which algorithm {chosen!r} of "
+                "solver 'nlopt' needs: choose 'auto', 'cobyla' or 'bobyqa'"
             )
-        return "cobyla" if self.algorithm == "bobyqa" and count == 1 else self.algorithm  # it needs two
+        return "cobyla" if chosen == "bobyqa" and count == 1 else chosen  # bobyqa needs two
 
     def _found(self, evaluations: Evaluations, space: Space, tried: list[str], why: str) -> Found:
         best, count, lost = evaluations.best, space.axes.shape[1], len(evaluations.lost)
-        words = f"{count_of(evaluations.count, 'evaluation')} of {count_of(count, 'variable')}, {why}"
+        words = f"{_counted(evaluations.count, 'evaluation')} of {_counted(count, 'variable')}, {why}"
         words = f"{' then '.join(dict.fromkeys(tried))}: {words}" if tried else words
         if lost:
             words += f"; {lost} of the evaluations had no value"
@@ -166,6 +161,6 @@ def _beyond(problem: Problem, alpha: Array) -> float:
     return max(low, high, 0.0)
 
 
-def count_of(number: int, what: str) -> str:
+def _counted(number: int, what: str) -> str:
     """`1 variable`, `2 variables`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -27,14 +27,21 @@ ALGORITHMS = {
 }
 BY_SLOPE = ("mma", "ccsaq", "slsqp")
 FROM_WITHIN = ("mma", "ccsaq")  # from elsewhere NLopt's own way in leaves them astray
+LONG = 30  # evaluations without a gain after which a search that goes by derivatives is ended
+AGAIN = 100  # times its budget that a search may ask for what is known
 SLACK = HELD / 1000  # a limit is met to this: a start that is on it must not count as beyond
 HALTS = (nlopt.ForcedStop, nlopt.RoundoffLimited, getattr(nlopt, "runtime_error", RuntimeError), RuntimeError)
 REACHED = "its tolerance is reached"
+HALTED = "it finds nothing better nearby"
 ENDS = {
     nlopt.FTOL_REACHED: REACHED,
     nlopt.XTOL_REACHED: REACHED,
     nlopt.ROUNDOFF_LIMITED: "rounding hides what is left to gain",
 }
+
+
+class Stalled(Exception):  # noqa: N818  # no error: a search that goes by derivatives gets no farther
+    """Nothing was gained for long."""
 
 
 class Met(Exception):  # noqa: N818  # no error: what was looked for is found
@@ -81,6 +88,7 @@ class Search:
         self._limits = np.append(-within.low[above], within.high[below])
         self._by_slope = self.algorithm in BY_SLOPE
         self._inequalities = len(self.evaluations.problem.constraints)
+        self._mark = self.evaluations.count, self.evaluations.best
 
     def run(self) -> str:
         """Search; why it ended by itself.
@@ -106,6 +114,7 @@ class Search:
         if self.algorithm != "bobyqa":  # which gains little for a while, then much
             optimiser.set_ftol_rel(self.tolerance)
         optimiser.set_initial_step(1.0)
+        optimiser.set_maxeval(AGAIN * self.evaluations.most)
         self._optimiser = optimiser
         try:
             optimiser.optimize(np.zeros(self.space.axes.shape[1]))
@@ -113,9 +122,11 @@ class Search:
             pass  # what a term raised is held, and why it ended is asked below
         finally:
             self._optimiser = None
+        if isinstance(self._raised, Stalled):
+            return HALTED
         if self._raised is not None:
             raise self._raised
-        return ENDS.get(optimiser.last_optimize_result(), "it finds nothing better nearby")
+        return ENDS.get(optimiser.last_optimize_result(), HALTED)
 
     def _cost(self, x: Array, slope: Array) -> float:
         point = self._point(x)
@@ -142,9 +153,10 @@ class Search:
 
     def _point(self, x: Array) -> Point | None:
         """What is known at x; None for a wall, and after an end, which NLopt is told of by its own means."""
-        if self._raised is None:
+        if self._raised is None and np.isfinite(x).all():
             try:
                 point = self.evaluations(self.space.alpha(x))
+                self._watch()
                 if not (point.steep if self._by_slope else point.known):
                     return None
                 if not self.until_met or point.violation > SLACK:
@@ -154,3 +166,11 @@ class Search:
                 self._raised = raised
         self._optimiser.force_stop()
         return None
+
+    def _watch(self) -> None:
+        count, before = self._mark
+        now = self.evaluations.best
+        if self._by_slope and self.evaluations.count >= count + LONG:
+            if now is None or not now.gained(before, self.tolerance):
+                raise Stalled
+            self._mark = self.evaluations.count, now

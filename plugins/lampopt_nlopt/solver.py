@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -55,13 +54,13 @@ class NLopt:
         "all": all of alpha.
     """
 
-    algorithm: Literal["auto", "mma", "ccsaq", "slsqp", "cobyla", "bobyqa"] = "auto"
+    algorithm: str = "auto"
     ridge: float = 0.0
     evaluations: int = 200
     seconds: float = np.inf
     tolerance: float = 1e-6
     step: float = 0.25
-    search: Literal["parameters", "all"] = "parameters"
+    search: str = "parameters"
 
     def __post_init__(self) -> None:
         for name, value, known in (("algorithm", self.algorithm, CHOICES), ("search", self.search, SPACES)):
@@ -97,10 +96,7 @@ class NLopt:
         if not (problem.objectives or problem.constraints or problem.equalities):
             return _told(problem, start + (1 - start.sum()) / len(start), "", MET)
         floored = replace(squares, ridge=max(squares.ridge, FLOOR))
-        found = Nonlinear(
-            problem, lines, floored, self.algorithm, int(self.evaluations), self.seconds, self.tolerance, self.step,
-            self.search == "all",
-        ).search(start)  # fmt: skip
+        found = Nonlinear(problem, lines, floored, self).search(start)
         if found.alpha is None:
             words = f"no evaluation had a value, the mix is where the search began; {found.words}"
             return Mix(start, problem.matrix @ start - problem.target, "failed", words)
