@@ -2,7 +2,7 @@
 
 Drag 10 % down from a reference, a random subset of the other parameters held, solved in the mix of labelled exemplars;
 every case counts. Nothing learned judges: drag is the judge's on the produced mesh, against the reference made through
-the same decoder and resolution; held parameters are read off the same meshes (benchmarks/sections.py). Open loop is
+the same decoder and resolution; held parameters are those that explain the same meshes best (benchmarks/inverse.py). Open loop is
 the paper's; in closed loop what was made is measured and the ask corrected.
 """
 
@@ -19,15 +19,15 @@ from rich.console import Console
 from trimesh import Trimesh
 
 import lampopt
-from lampopt.errors import LampoptError, MeasureError
+from lampopt.errors import LampoptError
 from lampopt.metrics import mean_absolute_error, r_squared
 from lampopt.types import Array
 
-from . import sections
+from . import inverse
 from .body import Body, judge_at
 from .common import Bench, Row, counts, judged, line, options, share, source, threads
 from .document import put, show, stamped
-from .sections import Reading
+from .inverse import Inverse
 
 CUT = 0.10  # of the reference's drag
 CASES = 100
@@ -45,21 +45,6 @@ class Drag:
 
     def __call__(self, mesh: Trimesh) -> Array:
         return np.array([self.judge.drag(mesh)])
-
-
-@dataclass(frozen=True, eq=False)
-class Sections:
-    """Measure: the judge's parameters, read off sections."""
-
-    reading: Reading
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-
-    def __call__(self, mesh: Trimesh) -> Array:
-        values = self.reading(mesh)
-        if not np.isfinite(values).all():
-            raise MeasureError("a section that is to be read is not there")
-        return values
 
 
 def cases(count: int, exemplars: int, names: Sequence[str], seed: int) -> list[tuple[int, tuple[str, ...]]]:
@@ -80,25 +65,24 @@ class Studies:
 
     body: Body
     bank: lampopt.Bank
-    reading: Reading
+    reading: Inverse
 
     def study(self, reference: int, held: tuple[str, ...], turns: int) -> lampopt.Study:
         judge = self.body.judge
-        read = Sections(self.reading, tuple(judge.NAMES), tuple(judge.UNITS))
         return lampopt.Study(
             self.bank,
             keep=held,
             reference=self.bank.names[reference],
             objective=lampopt.Reduce("drag", by=CUT),
-            measures={"judge": Drag(judge), "sections": read},
-            measured={"drag": "judge.drag", **{name: f"sections.{name}" for name in held}},
+            measures={"judge": Drag(judge), "family": self.reading},
+            measured={"drag": "judge.drag", **{name: f"family.{name}" for name in held}},
             turns=turns,
             resolution=self.body.bench.resolution,
         )
 
     def known(self, *more: object) -> list[object]:
         bench = self.body.bench
-        code = [source(sections), bench.identity(self.bank), self.reading.lines.tolist()]
+        code = [source(inverse), bench.identity(self.bank)]
         return ["drag", *code, self.body.where(np.zeros(0)), *more]
 
     def reference(self, number: int) -> Row:
@@ -182,7 +166,7 @@ def main(given: Sequence[str] | None = None) -> int:
             body = Body(bench, judge, args.body)
             cars = body.exemplars()
             bank = body.bank(cars, bench.decoder, notes := [])
-            studies = Studies(body, bank, Reading.of(cars.meshes, np.asarray(cars.parameters)))
+            studies = Studies(body, bank, Inverse.of(judge, args.body))
             for name, turns in (("open loop", 0), ("closed loop", args.turns)):
                 tables[name] = table(studies, args.cases, turns)
                 tables[name]["notes"] += notes

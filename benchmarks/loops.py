@@ -1,7 +1,7 @@
 """The closed loop and the neighbourhood of a reference, on the judge's bodies: ``python -m benchmarks.loops --help``.
 
-Closed loop: all eight parameters drawn at once at range factor 2; what is read off the mesh that was made
-(benchmarks/sections.py) against what was asked, before and after corrections, and the judge's surface error beside.
+Closed loop: all eight parameters drawn at once at range factor 2; the parameters that explain the
+mesh best (benchmarks/inverse.py) against what was asked, before and after corrections, and the judge's surface error beside.
 Neighbourhood: "this car, roof lower": one parameter asked of a reference, the other seven read before and after.
 """
 
@@ -21,8 +21,8 @@ from lampopt.types import Array
 from .body import Body, judge_at
 from .common import Bench, Row, counts, judged, line, options, share, threads
 from .document import put, show, stamped
-from .drag import Sections, Studies
-from .sections import Reading
+from .drag import Studies
+from .inverse import Inverse
 
 FACTOR = 2.0
 REFERENCES = 6
@@ -33,14 +33,12 @@ def closed(studies: Studies, turns: int) -> Row:
     """Errors of all designs at the factor, before and after."""
     body, bench = studies.body, studies.body.bench
     judge, spread = body.judge, np.asarray(body.judge.HIGH - body.judge.LOW)
-    names = tuple(judge.NAMES)
-    read = Sections(studies.reading, names, tuple(judge.UNITS))
     found: dict[int, list[Row]] = {0: [], turns: []}
     with bench.stage(f"{body.name}: {len(body.targets(FACTOR))} designs at f={FACTOR:g}") as tell:
         for number, target in enumerate(body.targets(FACTOR)):
             tell(number / len(body.targets(FACTOR)))
             for count, rows in found.items():
-                rows.append(_made(studies, read, target, count))
+                rows.append(_made(studies, target, count))
     lines = []
     before, after = (_off(rows, spread, body.targets(FACTOR)) for rows in found.values())
     lines.append(line("measured error, open loop [range]", before))
@@ -57,15 +55,15 @@ def closed(studies: Studies, turns: int) -> Row:
     return {"rows": lines, "notes": [f"mean over {len(found[0])} designs and 8 parameters; {turns} corrections"]}
 
 
-def _made(studies: Studies, read: Sections, target: Array, turns: int) -> Row:
-    body = studies.body
+def _made(studies: Studies, target: Array, turns: int) -> Row:
+    body, read = studies.body, studies.reading
 
     def make() -> Row:
         study = lampopt.Study(
             studies.bank,
             targets=dict(zip(read.names, target.tolist(), strict=True)),
-            measures={"sections": read},
-            measured={name: f"sections.{name}" for name in read.names},
+            measures={"family": read},
+            measured={name: f"family.{name}" for name in read.names},
             turns=turns,
             resolution=body.bench.resolution,
         )
@@ -145,7 +143,7 @@ def main(given: Sequence[str] | None = None) -> int:
                 body = Body(bench, judge, name)
                 cars = body.exemplars()
                 bank = body.bank(cars, bench.decoder, notes := [])
-                studies = Studies(body, bank, Reading.of(cars.meshes, np.asarray(cars.parameters)))
+                studies = Studies(body, bank, Inverse.of(judge, name))
                 for what, table in (
                     ("closed loop", closed(studies, args.turns)),
                     ("neighbourhood", neighbourhood(studies)),

@@ -24,6 +24,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class _Kept:
+    """The mesh of one alpha, and what measures said of it."""
+
+    key: bytes
+    mesh: Trimesh | None
+    values: dict[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class Chain:
     """What leads from mixing coefficients (N,) to a mesh and back.
 
@@ -36,20 +45,23 @@ class Chain:
     bank: Bank
     decoder: Decoder
     resolution: int
-    _last: list[tuple[bytes, Trimesh | None]] = field(default_factory=lambda: [(b"", None)], repr=False)
+    _last: list[_Kept] = field(default_factory=lambda: [_Kept(b"", None)], repr=False)
 
     def mesh(self, alpha: Array) -> Trimesh | None:
         """The mesh [user's unit] of alpha (N,); None where it has no surface. The last one is kept."""
+        return self._made(alpha).mesh
+
+    def _made(self, alpha: Array) -> _Kept:
         key = np.asarray(alpha, float).tobytes()
-        known, mesh = self._last[0]  # in one step: threads may share a chain
-        if known != key:
+        kept = self._last[0]  # looked at once: threads may share a chain
+        if kept.key != key:
             weights = mixed_weights(self.bank, alpha)
             try:
-                mesh = decode(self.bank, self.decoder, weights, resolution=self.resolution)
+                kept = _Kept(key, decode(self.bank, self.decoder, weights, resolution=self.resolution))
             except EmptyMesh:
-                mesh = None
-            self._last[0] = key, mesh
-        return mesh
+                kept = _Kept(key, None)
+            self._last[0] = kept
+        return kept
 
     def back(self, alpha: Array, by_vertices: Array) -> Array:
         """(N,) from a gradient (V, 3) by the vertices of `mesh(alpha)` [1/user's unit].
@@ -70,13 +82,14 @@ class Chain:
 
     def values(self, name: str, measure: Measure, alpha: Array) -> Array:
         """What `measure` says (p,) of the mesh of alpha; NaN where it has no surface, or lacks what is measured."""
-        mesh = self.mesh(alpha)
-        if mesh is None:
-            return np.full(len(measure.names), np.nan)
-        try:
-            return values_of(name, measure, mesh)
-        except (MeasureError, EmptyMesh):
-            return np.full(len(measure.names), np.nan)
+        kept = self._made(alpha)
+        if name not in kept.values:
+            try:
+                none = np.full(len(measure.names), np.nan)
+                kept.values[name] = none if kept.mesh is None else values_of(name, measure, kept.mesh)
+            except (MeasureError, EmptyMesh):
+                kept.values[name] = none
+        return kept.values[name]
 
     def differentiable(self, measure: Measure) -> bool:
         """Whether there are derivatives all the way."""
