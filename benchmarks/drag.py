@@ -2,8 +2,8 @@
 
 Drag 10 % down from a reference, a random subset of the other parameters held, solved in the mix of labelled exemplars;
 every case counts. Nothing learned judges: drag is the judge's on the produced mesh, against the reference made through
-the same decoder and resolution; held parameters are those that explain the same meshes best (benchmarks/inverse.py). Open loop is
-the paper's; in closed loop what was made is measured and the ask corrected.
+the same decoder and resolution; held parameters are those that explain the same meshes best (benchmarks/inverse.py).
+Open loop is the paper's; in closed loop what was made is measured and the ask corrected.
 """
 
 from __future__ import annotations

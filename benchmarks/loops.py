@@ -1,7 +1,7 @@
 """The closed loop and the neighbourhood of a reference, on the judge's bodies: ``python -m benchmarks.loops --help``.
 
-Closed loop: all eight parameters drawn at once at range factor 2; the parameters that explain the
-mesh best (benchmarks/inverse.py) against what was asked, before and after corrections, and the judge's surface error beside.
+Closed loop: all eight parameters drawn at once at range factor 2; the parameters that explain the mesh best
+(benchmarks/inverse.py) against what was asked, before and after corrections; the judge's surface error beside.
 Neighbourhood: "this car, roof lower": one parameter asked of a reference, the other seven read before and after.
 """
 
@@ -32,7 +32,7 @@ STEP = 0.5  # of the range, to the side where there is more of it
 def closed(studies: Studies, turns: int) -> Row:
     """Errors of all designs at the factor, before and after."""
     body, bench = studies.body, studies.body.bench
-    judge, spread = body.judge, np.asarray(body.judge.HIGH - body.judge.LOW)
+    spread = np.asarray(body.judge.HIGH - body.judge.LOW)
     found: dict[int, list[Row]] = {0: [], turns: []}
     with bench.stage(f"{body.name}: {len(body.targets(FACTOR))} designs at f={FACTOR:g}") as tell:
         for number, target in enumerate(body.targets(FACTOR)):
