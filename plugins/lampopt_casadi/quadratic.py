@@ -1,7 +1,7 @@
 """Least squares over alpha with equalities and inequalities.
 
 Equalities go first: alpha = start + basis·y, with basis an orthonormal null space, so that they hold exactly. Where
-the least squares that are left meet the inequalities, they are the answer; else a quadratic program (HiGHS or
+the least squares that are left meet the inequalities, they are the answer; else a quadratic program (DAQP or
 IPOPT, through CasADi) tells which inequalities hold with equality, and those join the equalities, to machine precision.
 """
 
@@ -19,19 +19,18 @@ from lampopt.types import Array
 
 RANK = 1e-10  # singular values below this part of the largest count as zero
 ACTIVE = 1e-6  # an inequality this near to its limit may hold with equality
-METHODS: dict[str, dict[str, Any]] = {  # the second where the first, an active set, gives up
-    "highs": {
-        "highs": {"output_flag": False, "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
-    },
-    "nlpsol": {
-        "nlpsol": "ipopt",
-        "nlpsol_options": {
-            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-11, "bound_relax_factor": 0.0, "max_iter": 500},
-            "print_time": False,
-            "error_on_fail": False,
-        },
+# An active set, exact and quick; it needs a hessian without free directions.
+ACTIVE_SET: dict[str, Any] = {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}}
+# An interior point takes everything that has an inside, and ends a little apart from the limits.
+INTERIOR: dict[str, Any] = {
+    "nlpsol": "ipopt",
+    "nlpsol_options": {
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-11, "bound_relax_factor": 0.0, "max_iter": 500},
+        "print_time": False,
+        "error_on_fail": False,
     },
 }
+DEFINITE = 1e-8  # least eigenvalue of a hessian, in parts of the largest, for the active set
 EXACT = 1e-9  # what the polished answer may be off a limit, or worse than the program's
 
 
@@ -196,10 +195,16 @@ def quadratic_program(
         return np.zeros(0)
     shape = {"h": casadi.Sparsity.dense(*hessian.shape), "a": casadi.Sparsity.dense(*rows.shape)}
     given = {"h": hessian, "g": linear, "a": rows, "lba": low, "uba": high, "lbx": x_low, "ubx": x_high}
-    for name, settings in METHODS.items():
+    curved = np.linalg.eigvalsh(hessian)
+    rounded = hessian + 10 * DEFINITE * curved[-1] * np.eye(len(hessian))
+    tries = [("nlpsol", INTERIOR, hessian), ("daqp", {}, rounded)]
+    if curved[0] > DEFINITE * curved[-1]:
+        tries.insert(0, ("daqp", ACTIVE_SET, hessian))
+    for name, settings, h in tries:
         program = casadi.conic("program", name, shape, {"error_on_fail": False, **settings})
-        found = program(**given)
-        x = np.asarray(found["x"], float).ravel()
+        x = np.asarray(program(**{**given, "h": h})["x"], float).ravel()
         if program.stats()["success"] and np.isfinite(x).all():
             return x
-    raise SolveError(f"solver 'casadi': its quadratic program failed: {program.stats()['return_status']}")
+    raise SolveError(
+        f"solver 'casadi': its quadratic programs failed: {program.stats().get('return_status', 'no reason is given')}"
+    )
