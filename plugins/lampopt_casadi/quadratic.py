@@ -31,6 +31,7 @@ INTERIOR: dict[str, Any] = {
     },
 }
 DEFINITE = 1e-8  # least eigenvalue of a hessian, in parts of the largest, for the active set
+ROOM = 1e-7  # that limits give where nothing else helps
 EXACT = 1e-9  # what the polished answer may be off a limit, or worse than the program's
 
 
@@ -196,13 +197,15 @@ def quadratic_program(
     shape = {"h": casadi.Sparsity.dense(*hessian.shape), "a": casadi.Sparsity.dense(*rows.shape)}
     given = {"h": hessian, "g": linear, "a": rows, "lba": low, "uba": high, "lbx": x_low, "ubx": x_high}
     curved = np.linalg.eigvalsh(hessian)
-    rounded = hessian + 10 * DEFINITE * curved[-1] * np.eye(len(hessian))
-    tries = [("nlpsol", INTERIOR, hessian), ("daqp", {}, rounded)]
+    rounded = hessian + 10 * DEFINITE * (curved[-1] or 1.0) * np.eye(len(hessian))
+    # What can be met by a hair only, a linear program tells to be met.
+    wider = {"lba": low - ROOM, "uba": high + ROOM, "lbx": x_low - ROOM, "ubx": x_high + ROOM}
+    tries = [("nlpsol", INTERIOR, {}), ("daqp", {}, {"h": rounded, **wider})]
     if curved[0] > DEFINITE * curved[-1]:
-        tries.insert(0, ("daqp", ACTIVE_SET, hessian))
-    for name, settings, h in tries:
+        tries.insert(0, ("daqp", ACTIVE_SET, {}))
+    for name, settings, changed in tries:
         program = casadi.conic("program", name, shape, {"error_on_fail": False, **settings})
-        x = np.asarray(program(**{**given, "h": h})["x"], float).ravel()
+        x = np.asarray(program(**{**given, **changed})["x"], float).ravel()
         if program.stats()["success"] and np.isfinite(x).all():
             return x
     raise SolveError(
