@@ -25,6 +25,7 @@ from lampopt.choices import GIVEN, Value
 from lampopt.closing import Closed, closed, read_checks
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
+from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
 from lampopt.goals import Reduce
 from lampopt.measured import resolve_address
@@ -128,9 +129,9 @@ class Task:
         quantities = Quantities(self.bank, self.models, self.measures, chain, self.plugins)
         return Wishes(self.study, self.bank, self.decoder, self.limits, quantities)
 
-    def posed(self, target: Mapping[str, float]) -> Posed:
-        """The problem that one target poses."""
-        return self.wishes.posed(target)
+    def posed(self, target: Mapping[str, float], memory: Memory | None = None) -> Posed:
+        """The problem that one target poses; `memory` knows what a search for it has evaluated."""
+        return self.wishes.posed(target, memory)
 
     @cached_property
     def designer(self) -> Designer:
@@ -144,9 +145,9 @@ class Task:
         measured = any(self.wishes.quantities[name].measure is not None for name in asked)
         return bool(self.study.turns or "mismatch" in self.study.safe or measured)
 
-    def solved(self, target: Mapping[str, float]) -> tuple[Posed, Mix]:
+    def solved(self, target: Mapping[str, float], memory: Memory | None = None) -> tuple[Posed, Mix]:
         """The problem of one target, and its mix."""
-        posed = self.posed(target)
+        posed = self.posed(target, memory)
         return posed, solve(posed, self.solver)
 
     def made(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:

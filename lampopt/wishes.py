@@ -15,6 +15,7 @@ import numpy as np
 
 from lampopt.check import Limits
 from lampopt.errors import StudyError
+from lampopt.evaluations import Memory
 from lampopt.goals import Linear, Minimise
 from lampopt.mixes import Target
 from lampopt.protocols import Decoder
@@ -79,8 +80,8 @@ class Wishes:
     limits: Limits
     quantities: Quantities
 
-    def posed(self, target: Target) -> Posed:
-        """The problem that `target` [the bank's units] poses, and its terms."""
+    def posed(self, target: Target, memory: Memory | None = None) -> Posed:
+        """The problem that `target` [the bank's units] poses, and its terms; `memory` knows what was evaluated."""
         study, known = self.study, {name: self.quantities[name] for name in target}
         for what, table in (("weights", study.weights), ("measured", study.measured)):
             if unknown := sorted(set(table) - set(target)):
@@ -103,7 +104,7 @@ class Wishes:
         problem = replace(
             posed.problem, ridge=study.ridge, norm=1 if study.norm == 1 else 2, alpha_low=low, alpha_high=high
         )
-        return self._with_terms(replace(posed, problem=problem), self.goals(target))
+        return self._with_terms(replace(posed, problem=problem), self.goals(target), memory or Memory())
 
     def goals(self, target: Target) -> list[Goal]:
         """The targets and ranges that are not linear in alpha."""
@@ -153,10 +154,10 @@ class Wishes:
         spread = SPREAD * abs(value) or 1.0
         return value - spread / 2, spread
 
-    def _with_terms(self, posed: Posed, goals: list[Goal]) -> Posed:
+    def _with_terms(self, posed: Posed, goals: list[Goal], memory: Memory) -> Posed:
         objectives, constraints, equalities = list[Term](), list[Term](), list[Term]()
         for goal in goals:
-            term = self._term(goal.quantity, posed)
+            term = self._term(goal.quantity, posed, memory)
             if goal.name.startswith("target."):
                 name = goal.quantity.name
                 power = 1 if goal.hard else 2
@@ -175,7 +176,7 @@ class Wishes:
             offset, spread = self._range(quantity)
             objectives.append(
                 shaped(
-                    objective.name, self._term(quantity, posed), offset=offset + spread / 2,
+                    objective.name, self._term(quantity, posed, memory), offset=offset + spread / 2,
                     factor=objective.sign * 2 / spread, weight=objective.weight,
                 )
             )  # fmt: skip
@@ -201,7 +202,7 @@ class Wishes:
         column = quantity.column
         return self._scale(quantity) if column is None else (column.low, column.spread)
 
-    def _term(self, quantity: Quantity, posed: Posed) -> Term:
+    def _term(self, quantity: Quantity, posed: Posed, memory: Memory) -> Term:
         """The value of a quantity as the solver sees it, in its own unit."""
         if quantity.column is not None:
             return Row(quantity.name, quantity.column.values[posed.active])
@@ -213,7 +214,7 @@ class Wishes:
         name, measure, place = quantity.measure
         chain = self.quantities.chain
         value = MeasuredValue(quantity.name, name, measure, place, chain, posed.spread_out, posed.active)
-        return cast("Term", Remembered(value, quantity.name))
+        return cast("Term", Remembered(value, quantity.name, memory.known(quantity.name), memory.tell))
 
 
 def goal_checks(wishes: Wishes, target: Mapping[str, float], alpha: Array, limits: Limits, needs: Needs) -> list[Check]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from lampopt.crew import Crew, clusters, lost
 from lampopt.errors import BankError, LampoptError, PluginError, StudyError, SweepError
+from lampopt.evaluations import Memory
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
 from lampopt.reading import brief, why
@@ -79,7 +80,9 @@ def judged(
         result = None if place is None else place.read(key, task.bank, task.designer)
         if result is None:
             began = time.perf_counter()
-            result = task.made(target, *(task.solved(target) if task.solves_long else mixes.at(number)))
+            memory = None if place is None else Memory.at(place.folder, key)
+            found = task.solved(target, memory) if task.solves_long else mixes.at(number)
+            result = task.made(target, *found)
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
 

@@ -50,7 +50,7 @@ LAYERS = (
     {"safeguards"},
     {"holdout", "recommend"},
     {"calibrate", "compare", "extrapolation", "residuals"},
-    {"database", "rows"},
+    {"database", "rows", "evaluations"},
     {"written"},
     {"record"},
     {"mixes"},

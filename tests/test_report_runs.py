@@ -538,11 +538,11 @@ def test_a_page_has_them_in_their_sections(tmp_path, bank, study, results):
 
 
 def test_a_run_that_was_searched_has_its_convergence(tmp_path, bank, results, monkeypatch):
-    assert evaluations(tmp_path) == ()
+    assert evaluations(tmp_path, lampopt.Study("a.lamp")) == ()
     wants = lampopt.Study(bank, objective=lampopt.Reduce("drag", by=0.1), reference="box_0", resolution=16)
     asked = []
     steps = (Evaluation(1, 0.4, 0.0, 1.0), Evaluation(2, 0.3, 0.0, 1.0))
-    monkeypatch.setattr(write, "evaluations", lambda folder: asked.append(folder) or steps)
+    monkeypatch.setattr(write, "evaluations", lambda folder, study: asked.append(folder) or steps)
     text = write_report(tmp_path, wants, bank, results[:1], plugins=small.plugins()).read_text(encoding="utf-8")
     assert asked == [tmp_path]
     assert '<section id="convergence">' in text

@@ -66,7 +66,7 @@ def write_report(
         0 if gathered.single else min(BESIDE, len(gathered.shown)),
         plugins or Plugins.load().report(),
     )
-    text = page(folder.absolute().name, study, bank, gathered, drawn, evaluations(folder))
+    text = page(folder.absolute().name, study, bank, gathered, drawn, evaluations(folder, study))
     aside = path.with_name(path.name + ".writing")
     try:
         aside.write_bytes(text.encode(errors="replace"))  # a folder's name may have bytes in it that are no text
