@@ -214,7 +214,7 @@ class Task:
                 "limits": [dict(study.limits), dict(self.bank.limits)],
                 "solver": repr(study.solver),
                 "reference": study.reference,
-                "ranges": study.bounds(self.bank),
+                "ranges": study.bounds(self.wishes.quantities),
                 "hard": study.hard,
                 **self._more,
                 "measures": {

@@ -465,6 +465,7 @@ def test_almost_equal_rows_are_two_rows(seed, near):
         ("norm=1", {"norm": 1}),
         ("objectives", {"objectives": (lambda a: (0.0, a),)}),
         ("constraints", {"constraints": (lambda a: (0.0, a),)}),
+        ("equalities", {"equalities": (lambda a: (0.0, a),)}),
     ],
 )
 def test_what_it_is_not_able_to_take_is_refused_by_name(words, changes):

@@ -15,6 +15,7 @@ from lampopt.choices import Value
 from lampopt.cli import show
 from lampopt.cli.answer import DONE, REJECTED, Answer, Command
 from lampopt.cli.options import can_be_written, chosen_measures, numbers, pairs, spec
+from lampopt.cli.wishes import fields, wishes
 from lampopt.errors import InputError, StudyError
 from lampopt.experiments import METHODS, MOST, Experiments
 from lampopt.loop import run as run_study
@@ -23,8 +24,9 @@ from lampopt.meshfile import FORMATS
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
 from lampopt.record import passport
-from lampopt.solve import column
+from lampopt.solve import columns
 from lampopt.study import Study
+from lampopt.task import Task
 from lampopt.types import LEVELS, Bank, Check, Needs, Result
 from lampopt.workers import processes
 from lampopt.written import export_mesh
@@ -54,6 +56,7 @@ _report = click.option("--report/--no-report", default=True, help="Whether to wr
 )
 @click.option("--keep", multiple=True, metavar="NAME", help="Hold NAME at the reference's value, or the bank's mean.")
 @click.option("--reference", metavar="NAME", help="The exemplar to stay near.")
+@wishes
 @click.option("--solver", default="kkt", show_default=True, metavar="NAME", help="What chooses the mix.")
 @click.option("--solver-set", "solver_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the solver.")
 @click.option(
@@ -86,6 +89,7 @@ def make(
     level: Needs,
     seed: int,
     out: Path | None,
+    **wished: Any,
 ) -> Answer:
     """Make one design from a bank.
 
@@ -94,8 +98,10 @@ def make(
 
     \b
         lampopt make cars.lamp --target roof=1.42 --target "ramp=12 deg" --out car.stl
+        lampopt make cars.lamp --solver casadi --reference car_017 --target roof=1.42 --hard roof --range "ramp=:12 deg"
     """
-    if not (targets or keep or reference):
+    more = fields(wished)
+    if not (targets or keep or reference or more["ranges"] or more["objective"]):
         raise InputError("--target: expected at least one wanted value, such as --target roof=1.42, got none")
     plugins = Plugins.load().report()
     study = Study(
@@ -109,6 +115,7 @@ def make(
         level=level,
         resolution=resolution,
         seed=seed,
+        **more,
     )
     if out is not None:
         if out.suffix.lower().lstrip(".") not in FORMATS or not out.parent.is_dir():
@@ -226,7 +233,7 @@ def sweep(
     document = {"folder": str(folder), "accepted": accepted, "rejected": rejected, "designs": designs}
     columns = (
         "#",
-        *(f"{name} {_unit(opened, name)}".rstrip() for name in designs[0]["target"]),
+        *(f"{name} {_unit(study, name, plugins)}".rstrip() for name in designs[0]["target"]),
         "accepted",
         "first failing check",
     )
@@ -302,6 +309,8 @@ def _summary(result: Result, bank: Bank, failed: Check | None) -> dict[str, Any]
     return {**kept, "failed": next((c for c in full["checks"] if failed and c["name"] == failed.name), None)}
 
 
-def _unit(bank: Bank, name: str) -> str:
-    unit = column(bank, name).unit
+def _unit(study: Study, name: str, plugins: Plugins) -> str:
+    """The unit of what is asked for; a model or a measure is opened for it only where it tells the value."""
+    found = columns(study.opened()).get(name)
+    unit = Task.of(study, plugins).wishes.quantities[name].unit if found is None else found.unit
     return f"[{unit}]" if unit else ""

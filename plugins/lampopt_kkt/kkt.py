@@ -75,6 +75,7 @@ def _refuse(problem: Problem) -> None:
             ("norm=1", problem.norm != 2),
             ("objectives", len(problem.objectives)),
             ("constraints", len(problem.constraints)),
+            ("equalities", len(problem.equalities)),
         )
         if asked
     ]
