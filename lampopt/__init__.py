@@ -1,5 +1,6 @@
 """lampopt: parameter-controlled shapes from a few dozen exemplars."""
 
+from lampopt.asktell import AskTell, Candidate
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
@@ -22,7 +23,9 @@ from lampopt.study import Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
 __all__ = [
+    "AskTell",
     "Bank",
+    "Candidate",
     "Check",
     "Compared",
     "Comparison",
