@@ -19,6 +19,7 @@ from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.motion import Sensitivities, sensitivities, template_of, warp
 from lampopt.recommend import Compared, Comparison
 from lampopt.residuals import Residual, residuals
+from lampopt.response import Response
 from lampopt.study import Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
@@ -42,6 +43,7 @@ __all__ = [
     "Problem",
     "Reduce",
     "Residual",
+    "Response",
     "Result",
     "SafeInterval",
     "Sensitivities",

@@ -63,6 +63,7 @@ LAYERS = (
     {"workers"},
     {"reporting"},
     {"asktell", "explore", "motion"},
+    {"response"},
     {"loop"},
     {"joining"},
     {"enrich"},
