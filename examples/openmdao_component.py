@@ -1,6 +1,6 @@
 """A study as an OpenMDAO component: targets in, measured values out, with exact partials where there are derivatives.
 
-Below OpenMDAO looks for the widest hole in a plate of at most 2.6 m that leaves 1.06 m³. Needs the extra `openmdao`.
+Below OpenMDAO looks for the widest hole that leaves 1.06 m³ of a plate of at most 2.6 m. Needs the extra `openmdao`.
 """
 
 import sys

@@ -37,7 +37,7 @@ class Response:
     study
         What has to hold meanwhile: its keeps, ranges, solver. Its targets are the inputs, as it has them at first.
     values
-        Names of the outputs: measured ones such as "volume.volume", models', parameters, labels.
+        Names of the outputs: what is measured on the mesh, such as "volume.volume", models' values, parameters, labels.
     plugins
         What to choose from, if not all that is installed.
 
@@ -71,7 +71,8 @@ class Response:
         known = self._task.wishes.quantities
         if curved := [name for name in study.targets if known[name].column is None]:
             raise StudyError(f"targets: {curved[0]!r} is not linear in the mix, so that it cannot be an input")
-        self._values = {name: known[name] for name in values}
+        told = self._task.bank.measured_by.values()  # of the exemplars, which a mix need not follow
+        self._values = {name: known.measured(name) if name in told else known[name] for name in values}
         asked = self._task.asked({})
         self.targets = MappingProxyType({name: asked[name] for name in study.targets})
         self.input_units = MappingProxyType({name: known[name].unit for name in study.targets})

@@ -84,6 +84,13 @@ def test_one_mesh_is_enough_where_there_are_derivatives(bank, moving):
     assert small.CALLS["decode"] == before + 3  # the design itself, and one to either side
 
 
+def test_what_the_bank_tells_of_its_exemplars_is_measured_all_the_same():
+    bank = small.bank(plugins=PLUGINS, measured={"length": "extents.length"})
+    before = small.CALLS["decode"]
+    assert response(bank, ["extents.length"], targets={"length": 2.5})({}) == pytest.approx({"extents.length": 2.5})
+    assert small.CALLS["decode"] == before + 1
+
+
 def test_labels_models_and_what_is_reduced(bank):
     def taken(parameters):
         return parameters[:, :1] ** 2
