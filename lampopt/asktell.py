@@ -119,7 +119,9 @@ class AskTell:
         known = task.wishes.quantities
         hard = {name for name in self._target if known[name].column is not None and name not in study.weights}
         self._task = replace(task, study=replace(task.study, hard=(*dict.fromkeys([*study.hard, *sorted(hard)]),)))
-        self._posed = self._task.posed(self._target)  # once: its terms remember what they were asked
+        posed = self._task.posed(self._target)  # once: its terms remember what they were asked
+        ridge = float(spec.options.get("ridge", 0.0)) if posed.problem.ridge is None else posed.problem.ridge
+        self._posed = replace(posed, problem=replace(posed.problem, ridge=ridge))
         self._solver: Solver = self._task.solver
         self._scale = factor
         self._known = list[Told]()
@@ -177,7 +179,7 @@ class AskTell:
         number = candidate.number if isinstance(candidate, Candidate) else candidate
         if isinstance(number, bool) or not isinstance(number, int | np.integer):
             raise InputError(f"candidate: expected what ask() returned, or its number, got {said(candidate):.80}")
-        if number < len(self._known):
+        if 0 <= number < len(self._known):
             raise InputError(f"candidate {number}: was told of already: {self._known[number].value:g}")
         if asked is None:
             raise InputError(f"candidate {number}: the search is at its end, nothing is asked")
@@ -319,4 +321,7 @@ class AskTell:
 
 
 def _number(value: object) -> float | None:
-    return None if isinstance(value, bool) or not isinstance(value, Real) else float(value)
+    try:
+        return None if isinstance(value, bool) or not isinstance(value, Real) else float(value)
+    except OverflowError:  # a whole number beyond any float
+        return None

@@ -84,7 +84,7 @@ def numbers(given: Any) -> Array:
     """`given` as finite numbers. Raises InputError where it is something else."""
     try:
         found = np.asarray(given, float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"expected numbers, got {said(given):.80}") from error
     if not np.isfinite(found).all():
         raise InputError("gradient: expected finite numbers, got others")

@@ -113,6 +113,7 @@ CASES = pytest.mark.parametrize(
         ({"alpha": (-0.5, 0.5), "ridge": 1e-3}, False),
         ({"solver": lampopt.Spec("nlopt", algorithm="cobyla", evaluations=23)}, False),
         ({"solver": lampopt.Spec("nlopt", evaluations=12)}, False),
+        ({"solver": lampopt.Spec("nlopt", ridge=0.3), "reference": "box_1"}, False),
     ],
 )
 
@@ -261,6 +262,7 @@ def test_an_unknown_candidate_is_an_error(bank):
     other = go_on(search(Study(bank, keep=("width",), reference="box_1")), most=1)
     first = found.ask()
     for wrong, said in (
+        (-1, r"candidate -1: is not what this search asks, which is number 0"),
         (7, r"candidate 7: is not what this search asks, which is number 0"),
         (other.told[0], r"candidate 0: is not what this search asks, which is number 0"),
         ("first", r"candidate: expected what ask\(\) returned, or its number, got 'first'"),
@@ -281,7 +283,7 @@ def test_nothing_is_told_after_the_end(bank):
         found.tell(5, 1.0)
 
 
-@pytest.mark.parametrize("value", ["1", None, True, [1.0]])
+@pytest.mark.parametrize("value", ["1", None, True, [1.0], 10**400])
 def test_a_value_is_a_number(bank, value):
     found = search(Study(bank))
     with pytest.raises(InputError, match="value: expected a number, NaN where there is none"):
@@ -304,6 +306,12 @@ def test_where_there_is_no_value_the_search_keeps_off(bank, tmp_path, nothing):
     again = AskTell.load(found.save(tmp_path / "search.json"), study, plugins=PLUGINS)
     assert again.ask() is None
     np.testing.assert_array_equal(again.best().alpha, found.best().alpha)
+
+
+def test_the_best_is_worth_its_ridge_too(bank):
+    found = go_on(search(Study(bank, solver=lampopt.Spec("nlopt", ridge=0.3), reference="box_1")))
+    np.testing.assert_allclose(found.best().alpha, found.result().design.mix.alpha, atol=1e-6)
+    assert found.best().value > min(candidate.value for candidate in found.told)
 
 
 def test_where_nothing_has_a_value_there_is_no_best(bank):
@@ -353,6 +361,7 @@ def test_gradients_that_cannot_be_used_are_refused(bank):
         (np.ones(3), r"gradient: expected \(7,\) by alpha"),
         (np.ones((8, 3)), r"gradient: expected \(7,\) by alpha"),  # this decoder is no Pullback
         ("steep", "expected numbers, got 'steep'"),
+        ([10**400] * 7, "expected numbers"),
         (np.full(7, np.nan), "gradient: expected finite numbers"),
     ):
         with pytest.raises(InputError, match=said):
