@@ -3,9 +3,9 @@
     python examples/drag_reduction.py [FOLDER [JUDGE]]
 
 A real car body in 20 morphs, each labelled with a stand-in for its drag (../shared/judge beside the repository, or the
-folder JUDGE): no flow solver. Length and width are measured; no measure here tells the greenhouse's angle, held too. On a
-bank as small and coarse as this, 7 of the first 8 references end within 0.2 points of -10 %, with the roof held instead of
-the greenhouse 4 of 8; benchmarks/drag.py counts all cases of a finer one.
+folder JUDGE): no flow solver. Length and width are measured; no measure here tells the greenhouse's angle, held too.
+On a bank as small and coarse as this, 7 of the first 8 references end within 0.2 points of -10 %; with the roof held
+instead of the greenhouse 4 of 8. benchmarks/drag.py counts all cases of a finer one.
 """
 
 import sys
