@@ -1,5 +1,6 @@
 """lampopt: parameter-controlled shapes from a few dozen exemplars."""
 
+from lampopt.asktell import AskTell, Candidate
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
@@ -18,11 +19,14 @@ from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.motion import Sensitivities, sensitivities, template_of, warp
 from lampopt.recommend import Compared, Comparison
 from lampopt.residuals import Residual, residuals
+from lampopt.response import Response
 from lampopt.study import Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
 __all__ = [
+    "AskTell",
     "Bank",
+    "Candidate",
     "Check",
     "Compared",
     "Comparison",
@@ -39,6 +43,7 @@ __all__ = [
     "Problem",
     "Reduce",
     "Residual",
+    "Response",
     "Result",
     "SafeInterval",
     "Sensitivities",
