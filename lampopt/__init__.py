@@ -7,6 +7,7 @@ from lampopt.exemplars import exemplars
 from lampopt.explore import Exploration, SafeInterval, explore
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
+from lampopt.front import Front, Reduction, front
 from lampopt.hookspecs import hookimpl
 from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
@@ -27,10 +28,12 @@ __all__ = [
     "Exemplars",
     "Exploration",
     "Frame",
+    "Front",
     "Mix",
     "Parameter",
     "Problem",
     "Reduce",
+    "Reduction",
     "Residual",
     "Result",
     "SafeInterval",
@@ -47,6 +50,7 @@ __all__ = [
     "extrapolation_volume",
     "fit_model",
     "fit_surrogate",
+    "front",
     "hookimpl",
     "intake",
     "load_bank",

@@ -19,6 +19,7 @@ LONGEST = 400  # lines
 LAYERS = (
     {"errors"},
     {"types"},
+    {"pareto"},
     {"units", "topology", "metrics", "intersections", "meshfile", "reading", "threads", "protocols", "hookspecs"},
     {"plugins", "lamp", "progress"},
     {"partial"},
@@ -45,7 +46,7 @@ LAYERS = (
     {"task"},
     {"workers"},
     {"reporting"},
-    {"explore", "motion"},
+    {"explore", "front", "motion"},
     {"loop"},
     {"lampopt", "cli", "testing"},
 )
