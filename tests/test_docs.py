@@ -35,7 +35,7 @@ def bank(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "docs/exploring.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "docs/exploring.md", "docs/fronts.md"])
 def test_programs_run(page, bank, tmp_path):
     shutil.copy(bank, tmp_path / "plates.lamp")
     found = programs(ROOT / page)
