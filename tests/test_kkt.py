@@ -415,6 +415,25 @@ def test_one_exemplar_is_all_there_is():
     assert KKT().solve(replace(p, target=np.array([0.5, -0.5]))).status == "exact"
 
 
+@pytest.mark.parametrize("value", [0.1, 0.3, -0.7734, 1 / 3, 1e6 / 7])
+@pytest.mark.parametrize("hard", [False, True])
+def test_a_row_in_which_all_exemplars_agree_moves_nothing(value, hard):
+    """Though centring leaves rounding noise of it, whose direction means nothing."""
+    centre = np.random.default_rng(0).dirichlet(np.ones(12))
+    p = Problem(("q",), np.full((1, 12), value), np.array([value + 1]), hard=np.full(1, hard), centre=centre, ridge=0.0)
+    mix = KKT().solve(p)
+    np.testing.assert_allclose(mix.alpha, centre, atol=1e-12)
+    assert mix.status == "infeasible"
+    assert [c.names for c in mix.conflicts] == [("q",)]
+    assert KKT().solve(replace(p, target=np.array([value]))).status == "exact"
+    other = np.random.default_rng(1).uniform(-1, 1, (2, 12))
+    asked = Problem(("q",), other[:1], np.array([1.5]), centre=centre, ridge=0.0)
+    free, still = KKT().solve(asked), KKT().solve(replace(asked, still=p.matrix))
+    np.testing.assert_allclose(still.alpha, free.alpha, atol=1e-12)
+    both = KKT().solve(replace(asked, still=np.vstack([p.matrix, other[1:]])))
+    np.testing.assert_allclose(both.alpha, KKT().solve(replace(asked, still=other[1:])).alpha, atol=1e-9)
+
+
 def test_nothing_asked_is_the_centre():
     centre = np.array([0.7, 0.2, 0.1])
     mix = KKT().solve(Problem((), np.empty((0, 3)), np.empty(0), centre=centre))
@@ -465,6 +484,7 @@ def test_almost_equal_rows_are_two_rows(seed, near):
         ("norm=1", {"norm": 1}),
         ("objectives", {"objectives": (lambda a: (0.0, a),)}),
         ("constraints", {"constraints": (lambda a: (0.0, a),)}),
+        ("equalities", {"equalities": (lambda a: (0.0, a),)}),
     ],
 )
 def test_what_it_is_not_able_to_take_is_refused_by_name(words, changes):
