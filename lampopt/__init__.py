@@ -10,6 +10,7 @@ from lampopt.experiments import Experiments, experiments
 from lampopt.explore import Exploration, SafeInterval, explore
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
+from lampopt.front import Front, Reduction, front
 from lampopt.goals import Linear, Maximise, Minimise, Reduce
 from lampopt.hookspecs import hookimpl
 from lampopt.intake import intake, wrap
@@ -35,6 +36,7 @@ __all__ = [
     "Experiments",
     "Exploration",
     "Frame",
+    "Front",
     "Linear",
     "Maximise",
     "Minimise",
@@ -42,6 +44,7 @@ __all__ = [
     "Parameter",
     "Problem",
     "Reduce",
+    "Reduction",
     "Residual",
     "Response",
     "Result",
@@ -61,6 +64,7 @@ __all__ = [
     "extrapolation_volume",
     "fit_model",
     "fit_surrogate",
+    "front",
     "hookimpl",
     "intake",
     "load_bank",

@@ -233,23 +233,37 @@ def solve_many(posed: Posed, targets: Sequence[Mapping[str, float]], solver: Sol
     """
     rows = np.array([[target[name] for name in posed.problem.names] for target in targets], float)
     normalised = posed.normalised(rows)
+    batch = solve_path(posed, normalised, None, solver)
+    return [
+        Mix(mix, residual, status, MET)
+        if status == "exact"
+        else solve(replace(posed, problem=replace(posed.problem, target=row)), solver)
+        for mix, residual, status, row in zip(batch.alpha, batch.residual, batch.status, normalised, strict=True)
+    ]
+
+
+def solve_path(posed: Posed, targets: Array, ridges: Array | None, solver: Solver) -> MixBatch:
+    """The mixes over all N exemplars for normalised targets (B, k), in one call to the solver; one ridge (B,) each.
+
+    Residuals are what alpha leaves, as in `solve`.
+
+    Raises
+    ------
+    PluginError
+        If the solver returns no mixes of the exemplars that take part, one a target.
+    """
     try:
-        batch: object = solver.solve_many(posed.problem, normalised)
+        batch: object = solver.solve_many(posed.problem, targets, ridges)
     except InputError as error:
         raise PluginError(f"solver {type(solver).__name__}: returned no mixes that can be used: {error}") from error
     shape = (len(targets), *posed.problem.centre.shape)
     if not isinstance(batch, MixBatch) or batch.alpha.shape != shape:
         raise _no_mix(solver, MixBatch, shape, batch)
-    alpha, residuals = posed.spread_out(batch.alpha), batch.alpha @ posed.problem.matrix.T - normalised
     off = np.abs(batch.alpha.sum(1) - 1) > 1e-6 * np.maximum(1, np.abs(batch.alpha).sum(1))
     if bad := np.flatnonzero(off).tolist():
         raise PluginError(f"solver {type(solver).__name__}: expected mixes that sum to 1, got others for {brief(bad)}")
-    return [
-        Mix(mix, residual, status, MET)
-        if status == "exact"
-        else solve(replace(posed, problem=replace(posed.problem, target=row)), solver)
-        for mix, residual, status, row in zip(alpha, residuals, batch.status, normalised, strict=True)
-    ]
+    residual = batch.alpha @ posed.problem.matrix.T - targets
+    return MixBatch(posed.spread_out(batch.alpha), residual, batch.status)
 
 
 def _no_mix(solver: Solver, wanted: type, shape: tuple[int, ...], found: object) -> PluginError:

@@ -62,7 +62,7 @@ LAYERS = (
     {"crew"},
     {"workers"},
     {"reporting"},
-    {"asktell", "explore", "motion"},
+    {"asktell", "explore", "front", "motion"},
     {"response"},
     {"loop"},
     {"joining"},

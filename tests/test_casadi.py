@@ -153,7 +153,43 @@ def test_ranges_come_before_what_should_be_still():
     assert row @ alpha == pytest.approx([row[0].mean(), 0.5], abs=1e-8)
 
 
+@pytest.mark.parametrize("value", [0.1, 0.3, -0.7734, 1 / 3])
+@pytest.mark.parametrize("hard", [False, True])
+def test_a_row_in_which_all_exemplars_agree_moves_nothing(value, hard):
+    """Though centring leaves rounding noise of it, whose direction means nothing."""
+    centre = np.random.default_rng(0).dirichlet(np.ones(12))
+    p = Problem(("q",), np.full((1, 12), value), np.array([value + 1]), hard=np.full(1, hard), centre=centre, ridge=0.0)
+    mix = CasADi().solve(p)
+    assert mix.alpha == pytest.approx(centre, abs=1e-8)
+    assert mix.status == "infeasible"
+    assert [c.names for c in mix.conflicts] == [("q",)]
+    assert mix.conflicts[0].alone == pytest.approx([-1], abs=1e-8)
+    assert CasADi().solve(replace(p, target=np.array([value]))).status == "exact"
+    other = np.random.default_rng(1).uniform(-1, 1, (2, 12))
+    asked = Problem(("q",), other[:1], np.array([1.5]), centre=centre, ridge=0.0)
+    for limits in ({}, {"alpha_high": np.full(12, 0.3)}):
+        bound = replace(asked, **limits)
+        still = CasADi().solve(replace(bound, still=p.matrix))
+        assert still.alpha == pytest.approx(CasADi().solve(bound).alpha, abs=1e-8)
+        both = CasADi().solve(replace(bound, still=np.vstack([p.matrix, other[1:]])))
+        assert both.alpha == pytest.approx(CasADi().solve(replace(bound, still=other[1:])).alpha, abs=1e-8)
+
+
 # What cannot be had
+
+
+def test_bounds_that_leave_no_mix_are_told_where_nothing_else_is_asked():
+    p = Problem((), np.empty((0, 3)), np.empty(0), ridge=0.0, alpha_high=np.full(3, 0.3))
+    mix = CasADi().solve(p)
+    assert mix.status == "infeasible"
+    assert [c.names for c in mix.conflicts] == [(BOUNDS,)]
+    assert mix.conflicts[0].alone == pytest.approx([1 / 3 - 0.3], abs=1e-8)
+    assert CasADi().solve_many(p, np.empty((2, 0))).status == ("infeasible",) * 2
+    for row in (np.array([0.2]), np.array([50.0])):  # met, or not
+        asked = replace(p, names=("q",), matrix=np.array([[-1.0, 0.0, 1.0]]), target=row, weight=None, hard=None)
+        assert CasADi().solve(asked).status == "infeasible"
+    term = replace(p, objectives=(lambda a: (float(a @ a), 2 * a),))
+    assert CasADi().solve(term).status == "infeasible"
 
 
 def contradictory(seed):

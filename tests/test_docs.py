@@ -35,7 +35,9 @@ def bank(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "docs/exploring.md", "docs/wishes.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/quickstart.md", "docs/exploring.md", "docs/fronts.md", "docs/wishes.md"]
+)
 def test_programs_run(page, bank, tmp_path):
     shutil.copy(bank, tmp_path / "plates.lamp")
     found = programs(ROOT / page)

@@ -82,6 +82,7 @@ def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside)
     def limits():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
+    threads._libraries.cache_clear()  # other tests may have loaded more libraries since
     inside, real = [], kkt._solve
     monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(limits()) or real(*args))
     with threadpool_limits(outside, "blas"):
@@ -413,6 +414,25 @@ def test_one_exemplar_is_all_there_is():
     assert mix.status == "infeasible"
     assert [c.names for c in mix.conflicts] == [("q1",)]
     assert KKT().solve(replace(p, target=np.array([0.5, -0.5]))).status == "exact"
+
+
+@pytest.mark.parametrize("value", [0.1, 0.3, -0.7734, 1 / 3, 1e6 / 7])
+@pytest.mark.parametrize("hard", [False, True])
+def test_a_row_in_which_all_exemplars_agree_moves_nothing(value, hard):
+    """Though centring leaves rounding noise of it, whose direction means nothing."""
+    centre = np.random.default_rng(0).dirichlet(np.ones(12))
+    p = Problem(("q",), np.full((1, 12), value), np.array([value + 1]), hard=np.full(1, hard), centre=centre, ridge=0.0)
+    mix = KKT().solve(p)
+    np.testing.assert_allclose(mix.alpha, centre, atol=1e-12)
+    assert mix.status == "infeasible"
+    assert [c.names for c in mix.conflicts] == [("q",)]
+    assert KKT().solve(replace(p, target=np.array([value]))).status == "exact"
+    other = np.random.default_rng(1).uniform(-1, 1, (2, 12))
+    asked = Problem(("q",), other[:1], np.array([1.5]), centre=centre, ridge=0.0)
+    free, still = KKT().solve(asked), KKT().solve(replace(asked, still=p.matrix))
+    np.testing.assert_allclose(still.alpha, free.alpha, atol=1e-12)
+    both = KKT().solve(replace(asked, still=np.vstack([p.matrix, other[1:]])))
+    np.testing.assert_allclose(both.alpha, KKT().solve(replace(asked, still=other[1:])).alpha, atol=1e-9)
 
 
 def test_nothing_asked_is_the_centre():

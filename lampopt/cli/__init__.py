@@ -18,6 +18,7 @@ from lampopt.cli.bank import bank
 from lampopt.cli.compare import compare
 from lampopt.cli.designs import make, run, sweep
 from lampopt.cli.explore import explore
+from lampopt.cli.front import front
 from lampopt.cli.intake import intake, wrap
 from lampopt.cli.learn import model, surrogate
 from lampopt.cli.measure import measure
@@ -51,6 +52,7 @@ for command in (
     run,
     sweep,
     explore,
+    front,
     report,
     sensitivities,
     check_plugin,

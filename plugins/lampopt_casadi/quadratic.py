@@ -1,13 +1,13 @@
 """Least squares over alpha with equalities and inequalities.
 
 Equalities go first: alpha = start + basis·y, with basis an orthonormal null space, so that they hold exactly. Where
-the least squares that are left meet the inequalities, they are the answer; else a quadratic program (DAQP or
+the least squares that are left meet the inequalities, they are the answer; else a quadratic program (DAQP, PIQP or
 IPOPT, through CasADi) tells which inequalities hold with equality, and those join the equalities, to machine precision.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi
@@ -18,20 +18,25 @@ from lampopt.errors import SolveError
 from lampopt.types import Array
 
 RANK = 1e-10  # singular values below this part of the largest count as zero
+NOISE = 1e-13  # of a row's size, all that rounding leaves when a row that is constant is centred
 ACTIVE = 1e-6  # an inequality this near to its limit may hold with equality
-# An active set, exact and quick; it needs a hessian without free directions.
-ACTIVE_SET: dict[str, Any] = {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-11}}
-# An interior point takes everything that has an inside, and ends a little apart from the limits.
-INTERIOR: dict[str, Any] = {
-    "nlpsol": "ipopt",
-    "nlpsol_options": {
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-11, "bound_relax_factor": 0.0, "max_iter": 500},
-        "print_time": False,
-        "error_on_fail": False,
+METHODS: dict[str, dict[str, Any]] = {  # the next where one gives up, or its multipliers do not prove its answer
+    "daqp": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-12}},
+    "piqp": {"piqp": {"eps_abs": 1e-13, "eps_rel": 1e-13, "max_iter": 500}},
+    "daqp, by proximal steps": {"daqp": {"primal_tol": 1e-11, "dual_tol": 1e-12, "eps_prox": 1e-8}},
+    "nlpsol": {
+        "nlpsol": "ipopt",
+        "nlpsol_options": {
+            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-11, "bound_relax_factor": 0.0, "max_iter": 500},
+            "print_time": False,
+            "error_on_fail": False,
+        },
     },
 }
-DEFINITE = 1e-8  # least eigenvalue of a hessian, in parts of the largest, for the active set
-ROOM = 1e-7  # that limits give where nothing else helps
+GOOD = 1e-7  # and where that is enough to leave the last method out, which takes a second for a hundred exemplars
+PROVEN = 1e-12  # what may be left of the gradient [of its largest term] when the multipliers are taken from it
+LAST = "nlpsol"
+POLISHED = 30  # times that the set of inequalities that hold with equality is bettered, at most
 EXACT = 1e-9  # what the polished answer may be off a limit, or worse than the program's
 
 
@@ -95,14 +100,27 @@ class Squares:
         system = np.vstack([root * self.rows @ basis, damp * np.eye(basis.shape[1])])
         gap = np.concatenate([root[:, 0] * (self.target - self.rows @ start), np.zeros(basis.shape[1])])
         size = np.linalg.norm(root * self.rows, axis=1).max(initial=0.0)
-        keep = _above(system, RANK * size)  # what hard rows leave of a row may be noise
+        keep = above(system, RANK * size)  # what hard rows leave of a row may be noise
         alpha = np.asarray(start + basis @ (np.linalg.pinv(system, rcond=keep) @ gap))
         if (settled := self.settled(alpha)) is None:
             return alpha
         start, basis = equal.joined(self.rows, self.rows @ alpha).free(alpha)
         rows = settled.rows @ basis
         size = np.linalg.norm(settled.rows, axis=1).max()
-        return np.asarray(start + basis @ (np.linalg.pinv(rows, rcond=_above(rows, RANK * size)) @ settled.off(start)))
+        return np.asarray(start + basis @ (np.linalg.pinv(rows, rcond=above(rows, RANK * size)) @ settled.off(start)))
+
+    def nearest(self, alpha: Array) -> Squares:
+        """The same, but where that leaves freedom it is to stay nearest to alpha."""
+        return replace(self, still=None, centre=alpha if self.ridge == 0 else self.centre)
+
+    def multipliers(self, alpha: Array, equal: Equalities, rows: Array) -> Array:
+        """How much of each of `rows` the gradient at alpha holds, what equalities take of it aside; noise is 0."""
+        _, basis = equal.free(alpha)
+        parts = 2 * self.weight * (self.rows @ alpha - self.target)
+        gradient = parts @ self.rows + 2 * self.ridge * (alpha - self.centre)
+        found = np.linalg.lstsq((rows @ basis).T, basis.T @ gradient, rcond=RANK)[0]
+        size = np.abs(self.weight[:, None] * self.rows * self.target[:, None]).max(initial=0.0)
+        return np.where(np.abs(found) > EXACT * np.abs(found).max(initial=NOISE * size), found, 0.0)
 
     def off(self, alpha: Array) -> Array:
         """What the rows lack at alpha."""
@@ -113,10 +131,13 @@ class Squares:
         if self.still is None or not len(self.still):
             return None
         rows = self.still - self.still.mean(1, keepdims=True)
+        rows = rows[np.linalg.norm(rows, axis=1) > NOISE * np.linalg.norm(self.still, axis=1)]
+        if not len(rows):
+            return None
         return Squares(rows, rows @ self.centre, np.ones(len(rows)), 0.0, self.centre, self.norm)
 
 
-def _above(system: Array, least: float) -> float:
+def above(system: Array, least: float) -> float:
     """The relative cutoff of singular values that is `least` in size."""
     largest = np.linalg.norm(system, 2) if system.size else 0.0
     return max(RANK, float(least / largest)) if largest > 0 else RANK
@@ -136,27 +157,71 @@ def least_squares(squares: Squares, equal: Equalities, within: Inequalities) -> 
             return alpha
     alpha = _program(squares, equal, within)
     if (settled := squares.settled(alpha)) is not None:
+        alpha = _polished(squares.nearest(alpha), equal, within, alpha)
         equal, squares = equal.joined(squares.rows, squares.rows @ alpha), settled
         alpha = _program(squares, equal, within, alpha)
     if squares.ridge == 0:
-        rows = equal.joined(squares.rows, squares.rows @ alpha)
-        alpha = _program(Squares(squares.rows[:0], squares.target[:0], squares.weight[:0], 1.0, squares.centre,
-                                 squares.norm), rows, within, alpha)  # fmt: skip
-    return _polished(squares, equal, within, alpha) if squares.norm == 2 else alpha
+        alpha = _polished(squares.nearest(alpha), equal, within, alpha)
+        equal = equal.joined(squares.rows, squares.rows @ alpha)
+        squares = Squares(squares.rows[:0], squares.target[:0], squares.weight[:0], 1.0, squares.centre, squares.norm)
+        alpha = _program(squares, equal, within, alpha)
+    return _polished(squares, equal, within, alpha)
 
 
 def _polished(squares: Squares, equal: Equalities, within: Inequalities, alpha: Array) -> Array:
+    """The same in norm 2 with what holds with equality as equalities: to machine precision, if that is as good.
+
+    What the answer then leaves joins them, what its multipliers would rather leave goes, the worst first.
+    """
+    if squares.norm == 1:
+        return _polished_in_norm_1(squares, equal, within, alpha)
+    best, least = alpha, squares(alpha) + EXACT * (1 + squares(alpha))
+    side = _sides(within, alpha)
+    for _ in range(POLISHED):
+        held = side != 0
+        limits = np.where(side < 0, within.low, within.high)[held]
+        found = squares.least(equal.joined(within.rows[held], limits))
+        values = within.rows @ found
+        beyond = np.where(held, 0.0, np.maximum(within.low - values, values - within.high))
+        if within.worst(found) <= EXACT and squares(found) <= least:
+            best, least = found, squares(found)
+        if beyond.max(initial=0.0) > EXACT:
+            worst = int(beyond.argmax())
+            side[worst] = -1 if values[worst] < within.low[worst] else 1
+            continue
+        pull = np.zeros(len(side))
+        pull[held] = squares.multipliers(found, equal, within.rows[held]) * side[held]
+        if not held.any() or pull.max() <= 0:
+            break
+        side[int(pull.argmax())] = 0
+    return best
+
+
+def _polished_in_norm_1(squares: Squares, equal: Equalities, within: Inequalities, alpha: Array) -> Array:
+    """The same with the coefficients that are at the centre's held there, and the signs of the others' changes."""
+    apart = alpha - squares.centre
+    sign = np.where(np.abs(apart) <= ACTIVE, 0.0, np.sign(apart))
+    side = _sides(within, alpha)
+    held, still = side != 0, sign == 0
+    limits = np.where(side < 0, within.low, within.high)[held]
+    equal = equal.joined(within.rows[held], limits).joined(np.eye(len(alpha))[still], squares.centre[still])
+    start, basis = equal.free(alpha)
+    rows = squares.rows @ basis
+    hessian = 2 * rows.T @ (squares.weight[:, None] * rows)
+    slope = 2 * rows.T @ (squares.weight * (squares.rows @ start - squares.target)) + squares.ridge * basis.T @ sign
+    found = np.asarray(start - basis @ (np.linalg.pinv(hessian, rcond=RANK, hermitian=True) @ slope))
+    same = (sign * (found - squares.centre) >= -EXACT).all() and within.worst(found) <= EXACT
+    return found if same and squares(found) <= squares(alpha) + EXACT * squares.ridge else alpha
+
+
+def _sides(within: Inequalities, alpha: Array) -> Array:
+    """Which limits alpha is at: -1 the lower one, 1 the upper one, 0 none."""
     values = within.rows @ alpha
-    at_low, at_high = values - within.low <= ACTIVE, within.high - values <= ACTIVE
-    active = at_low | at_high
-    limits = np.where(at_low, within.low, within.high)[active]
-    better = squares.least(equal.joined(within.rows[active], limits))
-    same = squares(better) <= squares(alpha) + EXACT * (1 + squares(alpha))
-    return better if within.worst(better) <= EXACT and same else alpha
+    return np.where(values - within.low <= ACTIVE, -1, np.where(within.high - values <= ACTIVE, 1, 0))
 
 
 def _program(squares: Squares, equal: Equalities, within: Inequalities, start: Array | None = None) -> Array:
-    """By HiGHS, in what the equalities leave free; in norm 1 with alpha − centre as the difference of two parts."""
+    """In what the equalities leave free; in norm 1 with alpha − centre as the difference of two parts."""
     near, basis = equal.free(squares.centre if start is None else start)
     n, q = basis.shape
     rows = squares.rows @ basis
@@ -187,6 +252,9 @@ def quadratic_program(
 ) -> Array:
     """Least ½ xᵀ hessian x + linearᵀ x with low ≤ rows·x ≤ high and x_low ≤ x ≤ x_high.
 
+    No method is believed. HiGHS is none of them: it calls answers optimal that are not, nor even within the limits, may
+    go round in circles for ever, and prints.
+
     Raises
     ------
     SolveError
@@ -194,20 +262,46 @@ def quadratic_program(
     """
     if not len(linear):
         return np.zeros(0)
+    felt = np.isfinite(low) | np.isfinite(high)
+    rows, low, high = rows[felt], low[felt], high[felt]
+    all_rows = np.vstack([rows, np.eye(len(linear))])
+    limits = Inequalities(all_rows, np.concatenate([low, x_low]), np.concatenate([high, x_high]))
     shape = {"h": casadi.Sparsity.dense(*hessian.shape), "a": casadi.Sparsity.dense(*rows.shape)}
+    scale = np.abs(hessian).max() or np.abs(linear).max() or 1.0
+    hessian, linear = hessian / scale, linear / scale
     given = {"h": hessian, "g": linear, "a": rows, "lba": low, "uba": high, "lbx": x_low, "ubx": x_high}
-    curved = np.linalg.eigvalsh(hessian)
-    rounded = hessian + 10 * DEFINITE * (curved[-1] or 1.0) * np.eye(len(hessian))
-    # What can be met by a hair only, a linear program tells to be met.
-    wider = {"lba": low - ROOM, "uba": high + ROOM, "lbx": x_low - ROOM, "ubx": x_high + ROOM}
-    tries = [("nlpsol", INTERIOR, {}), ("daqp", {}, {"h": rounded, **wider})]
-    if curved[0] > DEFINITE * curved[-1]:
-        tries.insert(0, ("daqp", ACTIVE_SET, {}))
-    for name, settings, changed in tries:
-        program = casadi.conic("program", name, shape, {"error_on_fail": False, **settings})
-        x = np.asarray(program(**{**given, **changed})["x"], float).ravel()
-        if program.stats()["success"] and np.isfinite(x).all():
-            return x
-    raise SolveError(
-        f"solver 'casadi': its quadratic programs failed: {program.stats().get('return_status', 'no reason is given')}"
-    )
+    best, least, status = None, np.inf, {}
+    for name, settings in METHODS.items():
+        plugin = name.partition(",")[0]
+        if least <= (GOOD if plugin == LAST else PROVEN):
+            break
+        if not casadi.has_conic(plugin):
+            continue
+        program = casadi.conic("program", plugin, shape, {"error_on_fail": False, **settings})
+        found = program(**given)
+        x, *multipliers = (np.asarray(found[key], float).ravel() for key in ("x", "lam_a", "lam_x"))
+        status[name] = program.stats().get("return_status")
+        if np.isfinite(x).all() and limits.worst(x) <= ACTIVE:
+            doubt = _doubt(hessian, linear, limits, x, np.concatenate(multipliers))
+            if doubt < least or best is None:
+                best, least = x, doubt
+    if best is None:
+        raise SolveError(f"solver 'casadi': its quadratic program failed: {status}")
+    return best
+
+
+def _doubt(hessian: Array, linear: Array, limits: Inequalities, x: Array, multipliers: Array) -> float:
+    """What is left of the gradient at x when the multipliers are taken from it, in parts of its largest term.
+
+    A multiplier counts only at the limit that it belongs to: positive at the upper one, negative at the lower one. How
+    far x is beyond its limits is in doubt too.
+    """
+    values = limits.rows @ x
+    at_low, at_high = values - limits.low <= EXACT, limits.high - values <= EXACT
+    held = np.where(at_high, multipliers.clip(0), 0) + np.where(at_low, multipliers.clip(None, 0), 0)
+    curved, pushed = hessian @ x, limits.rows.T @ held
+    size = max(np.abs(part).max(initial=0.0) for part in (curved, linear, pushed))
+    left = np.abs(curved + linear + pushed).max()
+    if not np.isfinite(left):
+        return np.inf
+    return max(float(left / size) if left > NOISE else 0.0, limits.worst(x) * PROVEN / EXACT)

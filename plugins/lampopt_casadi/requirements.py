@@ -1,7 +1,8 @@
 """What a mix has to meet, one linear requirement each, and by how much no mix can: linear programs over alpha.
 
 A requirement is low ≤ row·alpha ≤ high; a target has low = high. A set of which none can be left out for it to
-contradict itself is found by leaving out one after the other (deletion filter, Chinneck, 2008, chapter 6).
+contradict itself is found by leaving out one after the other (deletion filter, Chinneck, 2008, chapter 6), of those
+that the multipliers name (Farkas). Where only targets press, linear algebra takes the place of linear programs.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from scipy.optimize import linprog
 from lampopt.errors import SolveError
 from lampopt.types import BOUNDS, Array, Conflict, Problem
 
-from .quadratic import Equalities, Inequalities, Squares, least_squares
+from .quadratic import RANK, Equalities, Inequalities, Squares, above, least_squares
 
 MET = 1e-8  # a requirement met to this [normalised] is met
 MOST = 8  # conflicts that are told apart
+TRIED = 100  # requirements in those that are told, after which no more are looked for
+PRESSING = 1e-7  # a multiplier this large [at most 1] tells that a requirement is part of a contradiction
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +90,25 @@ class Requirements:
 
         Infinite, with an alpha that means nothing, where that is not enough.
         """
+        return self._elastic(elastic)[:2]
+
+    def _elastic(self, elastic: Sequence[int]) -> tuple[float, Array, Array]:
+        """The same, and the multipliers of the requirements and of the bounds (m + n,)."""
         n, at = self.rows.shape[1], np.asarray(elastic, int)
         give = np.zeros((len(self.names), 2 * len(at)))
         give[at, np.arange(len(at))], give[at, len(at) + np.arange(len(at))] = 1.0, -1.0
         rows, upper, lower = np.hstack([self.rows, give]), np.isfinite(self.high), np.isfinite(self.low)
-        return _linear_program(
+        size, alpha, (of_rows, of_bounds) = _linear_program(
             np.concatenate([np.zeros(n), np.ones(2 * len(at))]),
             np.vstack([rows[upper], -rows[lower]]),
             np.concatenate([self.high[upper], -self.low[lower]]),
             [*zip(self.alpha_low, self.alpha_high, strict=True), *[(0, np.inf)] * (2 * len(at))],
             n,
         )
+        pressure = np.zeros(len(self.names))
+        pressure[upper] += of_rows[: upper.sum()]
+        pressure[lower] += of_rows[upper.sum() :]
+        return size, alpha, np.append(pressure, of_bounds[:n])
 
     def too_narrow(self) -> float:
         """By how much the bounds on alpha would have to be wider for all else to be met; infinite where in vain."""
@@ -106,7 +117,7 @@ class Requirements:
         upper, lower = np.isfinite(self.high), np.isfinite(self.low)
         one, rows = np.hstack([np.eye(n), -np.ones((n, 1))]), np.hstack([self.rows, np.zeros((m, 1))])
         other = np.hstack([-np.eye(n), -np.ones((n, 1))])
-        size, _ = _linear_program(
+        size, _, _ = _linear_program(
             np.append(np.zeros(n), 1.0),
             np.vstack([rows[upper], -rows[lower], one[above], other[below]]),
             np.concatenate([self.high[upper], -self.low[lower], self.alpha_high[above], -self.alpha_low[below]]),
@@ -118,9 +129,33 @@ class Requirements:
     @property
     def met(self) -> bool:
         """Whether some alpha meets all of them."""
+        return self.lacking() <= self._tolerance
+
+    @property
+    def _tolerance(self) -> float:
         ends = np.concatenate([self.low, self.high])
-        scale = 1 + np.abs(ends[np.isfinite(ends)]).max(initial=0.0)
-        return self.violation(range(len(self.names)))[0] <= MET * float(scale)
+        return MET * (1 + float(np.abs(ends[np.isfinite(ends)]).max(initial=0.0)))
+
+    def lacking(self) -> float:
+        """How far they are from being met all together, in sum or as a root of squares; infinite where in vain."""
+        if self._linear:
+            return float(np.linalg.norm(self._missed()))
+        return self.violation(range(len(self.names)))[0]
+
+    @property
+    def _linear(self) -> bool:
+        """Whether there are only targets."""
+        free = np.isinf(self.alpha_low).all() and np.isinf(self.alpha_high).all()
+        return bool(free and (self.low == self.high).all())
+
+    def _missed(self) -> Array:
+        """(m,) what targets lack at the least squares: orthogonal to what alpha can do, so that it proves a clash."""
+        if not len(self.names):
+            return np.zeros(0)
+        centred = self.rows - self.rows.mean(1, keepdims=True)
+        gap = self.low - self.rows.mean(1)
+        least = above(centred, RANK * float(np.linalg.norm(self.rows)))
+        return np.asarray(gap - centred @ (np.linalg.pinv(centred, rcond=least) @ gap))
 
     def give(self) -> tuple[Array, float]:
         """(m,) what they have to give at least, by the sum of squares; first by how much the bounds have to be wider.
@@ -145,31 +180,52 @@ class Requirements:
     def conflicts(self) -> tuple[Conflict, ...]:
         """Smallest sets that contradict themselves; the next without what is most in the way of the rest."""
         found: list[Conflict] = []
-        left = [*range(len(self.names))]
-        while len(found) < MOST and not self.only(left).met:
+        left, tried = [*range(len(self.names))], 0
+        enough: set[int] | None = None  # those without which all the others can be met: they are in every set
+        while len(found) < MOST and tried <= TRIED and not self.only(left).met:
             part = [left[i] for i in self.only(left).irreducible()]
-            found.append(self._conflict(part))
+            without = [self.only([j for j in left if j != i]) for i in part]
+            rest = [one.lacking() for one in without]
+            if enough is None:
+                enough = {i for i, one, size in zip(part, without, rest, strict=True) if size <= one._tolerance}
+            found.append(self._conflict(part, enough))
             if not part:
                 break  # the bounds alone
-            rest = [
-                self.only(kept).violation(range(len(kept)))[0] for kept in ([j for j in left if j != i] for i in part)
-            ]
             left.remove(part[int(np.argmin(rest))])
+            tried += len(part)
         return tuple(found)
 
     def irreducible(self) -> list[int]:
-        """The numbers of a set that no alpha meets, of which each is needed for that."""
-        kept = [*range(len(self.names))]
-        for i in range(len(self.names)):
+        """The numbers of a set that no alpha meets, of which each is needed for that; none where it is the bounds."""
+        kept, own = self._pressing()
+        if not kept:
+            return kept
+        for i in [*kept]:
             rest = [j for j in kept if j != i]
-            if not self.only(rest).met:
+            if not own.only(rest).met:
                 kept = rest
         return kept
 
-    def _conflict(self, part: list[int]) -> Conflict:
+    def _pressing(self) -> tuple[list[int], Requirements]:
+        """The numbers of those that prove that no alpha meets all; and all, without the bounds if these need not be."""
+        count = len(self.names)
+        if self._linear:
+            pressure = self._missed()
+            pressure = np.abs(pressure) / np.abs(pressure).max(initial=1e-300)
+            own = self
+        else:
+            size, _, multipliers = self._elastic(range(count))
+            if not np.isfinite(size):
+                return [], self
+            pressure, bounds = multipliers[:count], multipliers[count:]
+            own = self if (bounds > PRESSING).any() else self.widened(np.inf)
+        kept = np.flatnonzero(pressure > PRESSING).tolist()
+        return (kept, own) if not own.only(kept).met else ([*range(count)], self)
+
+    def _conflict(self, part: list[int], enough: set[int]) -> Conflict:
         own = self.only(part)
         amounts, _ = own.give()
-        names, alone = list(own.names), [self._alone(i) for i in part]
+        names, alone = list(own.names), [self._alone(i) if i in enough else np.inf for i in part]
         if own.widened(np.inf).met:  # without the bounds there is no contradiction
             names.append(BOUNDS)
             amounts, alone = np.append(amounts, 0.0), [*alone, self.too_narrow()]
@@ -182,13 +238,17 @@ class Requirements:
 
 def _linear_program(
     cost: Array, rows: Array, high: Array, box: Sequence[tuple[float, float]], n: int
-) -> tuple[float, Array]:
-    """Least cost·x with rows·x ≤ high, x within `box` and x[:n] summing to 1: its value and x[:n]."""
+) -> tuple[float, Array, tuple[Array, Array]]:
+    """Least cost·x with rows·x ≤ high, x within `box` and x[:n] summing to 1: its value, x[:n], how much each presses.
+
+    That is the size of the multipliers of rows and box.
+    """
     one = np.concatenate([np.ones(n), np.zeros(len(cost) - n)])[None]
     tight = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
     found = linprog(cost, A_ub=rows, b_ub=high, A_eq=one, b_eq=[1.0], bounds=box, method="highs", options=tight)
     if found.status == 2:
-        return np.inf, np.full(n, 1 / n)
+        return np.inf, np.full(n, 1 / n), (np.zeros(len(rows)), np.zeros(len(cost)))
     if found.x is None:
         raise SolveError(f"solver 'casadi': its linear program failed: {found.message}")
-    return float(found.fun), np.asarray(found.x[:n])
+    pressure = np.abs(found.ineqlin.marginals), np.abs(found.lower.marginals) + np.abs(found.upper.marginals)
+    return float(found.fun), np.asarray(found.x[:n]), pressure

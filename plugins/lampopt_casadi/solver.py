@@ -45,7 +45,6 @@ class CasADi:
         SolveError
             If a term has no gradient: `nlopt` can do without.
         """
-        problem = replace(problem, ridge=self.ridge if problem.ridge is None else problem.ridge)
         with one_thread():
             return self._solve(problem)
 
@@ -58,16 +57,20 @@ class CasADi:
         if ridges is not None and np.shape(ridges) != (len(targets),):
             raise InputError(f"ridges: expected {len(targets)} numbers, got {ridges!r}")
         each = [problem.ridge] * len(targets) if ridges is None else [float(ridge) for ridge in ridges]
-        mixes = [self.solve(replace(problem, target=t, ridge=r)) for t, r in zip(targets, each, strict=True)]
+        asked = [replace(problem, target=t, ridge=r) for t, r in zip(targets, each, strict=True)]
+        with one_thread():
+            mixes = [self._solve(one, reasons=False) for one in asked]
         return MixBatch(
             np.reshape([mix.alpha for mix in mixes], (len(targets), len(problem.centre))),
             np.reshape([mix.residual for mix in mixes], (len(targets), k)),
             tuple(mix.status for mix in mixes),
         )
 
-    def _solve(self, problem: Problem) -> Mix:
-        must = Requirements.of(problem, soft=False)
-        if not must.met:
+    def _solve(self, problem: Problem, *, reasons: bool = True) -> Mix:
+        """The mix; a batch tells no `reasons`, which may take longer to find than the mix."""
+        problem = replace(problem, ridge=self.ridge if problem.ridge is None else problem.ridge)
+        must, asked = (Requirements.of(problem, soft=soft) for soft in (False, True))
+        if not (possible := must.met):
             amounts, wider = must.give()
             must = must.relaxed(amounts).widened(wider)
         soft = ~problem.hard
@@ -78,12 +81,15 @@ class CasADi:
         )  # fmt: skip
         alpha = least_squares(squares, *must.parts())
         if problem.objectives or problem.constraints or problem.equalities:
-            return Nonlinear(problem, must, squares, self.iterations).solve(alpha)
+            mix = Nonlinear(problem, must, squares, self.iterations).solve(alpha)
+            if possible:
+                return mix
+            alpha = mix.alpha
         alpha = alpha + (1 - alpha.sum()) / len(alpha)
         residual = problem.matrix @ alpha - problem.target
-        asked = Requirements.of(problem, soft=True)
-        if np.abs(asked.off(alpha)).max(initial=0.0) <= MET * (1 + np.abs(problem.target).max(initial=0.0)):
+        met = np.abs(asked.off(alpha)).max(initial=0.0) <= MET * (1 + np.abs(problem.target).max(initial=0.0))
+        if possible and met:
             return Mix(alpha, residual, "exact", "every target is met")
-        if asked.met:
+        if possible and asked.met:
             return Mix(alpha, residual, "inexact", held_off(problem, residual))
-        return infeasible(alpha, residual, asked.conflicts())
+        return infeasible(alpha, residual, asked.conflicts()) if reasons else Mix(alpha, residual, "infeasible")

@@ -16,13 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import null_space
 
 from lampopt.errors import InputError, SolveError
 from lampopt.threads import one_thread
 from lampopt.types import Array, Conflict, Mix, MixBatch, Problem, Status
 
 RANK = 1e-10  # singular values below this part of the largest count as zero
+NOISE = 1e-13  # and below this part of the rows' size: what centring leaves of a row that is constant
 MET = 1e-8  # a row met to this [normalised] is met
 
 
@@ -85,24 +85,39 @@ def _refuse(problem: Problem) -> None:
         )
 
 
-def _decompose(matrix: Array) -> tuple[Array, Array, Array]:
-    """Thin singular value decomposition without what counts as zero: u (k, r), s (r,), vᵀ (r, N)."""
+def _decompose(matrix: Array, least: float) -> tuple[Array, Array, Array]:
+    """Thin singular value decomposition without what counts as zero: u (k, r), s (r,), vᵀ (r, N).
+
+    That is what is below `least`, or tiny beside the largest.
+    """
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
-    keep = s > RANK * max(s.max(initial=0.0), 1e-300) if len(s) else np.zeros(0, bool)
+    keep = s > max(RANK * float(s.max(initial=0.0)), least)
     return u[:, keep], s[keep], vt[keep]
+
+
+def _noise(rows: Array) -> float:
+    """Singular values of centred `rows` that rounding alone may make."""
+    return max(NOISE * float(np.linalg.norm(rows)), 1e-300)
+
+
+def _dependences(problem: Problem) -> Array:
+    """(k, q) orthonormal: what each combination makes of the rows is the same for all alpha that sum to 1."""
+    centred = problem.matrix - problem.matrix.mean(1, keepdims=True)
+    u, s, _ = np.linalg.svd(centred, full_matrices=len(centred) > centred.shape[1])
+    rank = int((s > max(RANK * s.max(initial=0.0), _noise(problem.matrix))).sum())
+    return np.asarray(u[:, rank:])
 
 
 def _solve(problem: Problem, targets: Array, ridges: Array) -> MixBatch:
     centred = problem.matrix - problem.matrix.mean(1, keepdims=True)
     gap = targets - problem.matrix @ problem.centre  # (B, k)
     hard, root = problem.hard, np.sqrt(problem.weight[~problem.hard])
-    u, s, vt = _decompose(centred[hard])
+    u, s, vt = _decompose(centred[hard], _noise(problem.matrix[hard]))
     beta = (gap[:, hard] @ u / s) @ vt
     soft = centred[~hard] - centred[~hard] @ vt.T @ vt  # what moves without moving a hard row
-    u, s, vt = _decompose(root[:, None] * soft)
     # noise of the projection must not pass for a direction that is free to move
-    real = s > RANK * np.linalg.norm(root[:, None] * centred[~hard]) if len(s) else np.zeros(0, bool)
-    u, s, vt = u[:, real], s[real], vt[real]
+    size = float(np.linalg.norm(root[:, None] * centred[~hard]))
+    u, s, vt = _decompose(root[:, None] * soft, max(RANK * size, _noise(root[:, None] * problem.matrix[~hard])))
     rest = (gap[:, ~hard] - beta @ centred[~hard].T) * root
     beta = beta + (rest @ u * (s / (s**2 + ridges[:, None]))) @ vt
     if len(problem.still):
@@ -110,9 +125,8 @@ def _solve(problem: Problem, targets: Array, ridges: Array) -> MixBatch:
     alpha = problem.centre + beta
     alpha += (1 - alpha.sum(1, keepdims=True)) / alpha.shape[1]
     residual = alpha @ problem.matrix.T - targets
-    left = null_space(centred.T, rcond=RANK) if len(centred) else np.zeros((0, 0))
     scale = 1 + np.abs(targets).max(1, initial=0.0)
-    clash = np.abs(gap @ left).max(1, initial=0.0) > MET * scale
+    clash = np.abs(gap @ _dependences(problem)).max(1, initial=0.0) > MET * scale
     missed = np.abs(residual).max(1, initial=0.0) > MET * scale
     status: tuple[Status, ...] = tuple(
         "infeasible" if c else "inexact" if m else "exact" for c, m in zip(clash, missed, strict=True)
@@ -123,11 +137,10 @@ def _solve(problem: Problem, targets: Array, ridges: Array) -> MixBatch:
 def _settled(problem: Problem, centred: Array, beta: Array) -> Array:
     """What to add to beta (B, N) for the still rows to move least, without moving a row that is asked for."""
     still = problem.still - problem.still.mean(1, keepdims=True)
-    _, _, rows = _decompose(centred)
-    free = still - still @ rows.T @ rows
-    u, s, vt = _decompose(free)
-    real = s > RANK * np.linalg.norm(still) if len(s) else np.zeros(0, bool)
-    return np.asarray(-(beta @ still.T @ u[:, real] / s[real]) @ vt[real])
+    _, _, rows = _decompose(centred, _noise(problem.matrix))
+    least = max(RANK * float(np.linalg.norm(still)), _noise(problem.still))
+    u, s, vt = _decompose(still - still @ rows.T @ rows, least)
+    return np.asarray(-(beta @ still.T @ u / s) @ vt)
 
 
 def _conflicts(problem: Problem) -> tuple[Conflict, ...]:
@@ -135,9 +148,8 @@ def _conflicts(problem: Problem) -> tuple[Conflict, ...]:
 
     A vector n with nᵀM̃ = 0 demands nᵀ(target − M centre) = 0. In reduced echelon form each vector names few rows.
     """
-    centred = problem.matrix - problem.matrix.mean(1, keepdims=True)
     gap = problem.target - problem.matrix @ problem.centre
-    found, left = [], null_space(centred.T, rcond=RANK)
+    found, left = [], _dependences(problem)
     demanded = left.T @ gap  # of all rows together: one row alone mends it where its part of `left` points there
     scale = MET * (1 + np.abs(problem.target).max())
     for vector in _echelon(left.T):

@@ -1,0 +1,72 @@
+"""A front as one SVG file: error over distance, and beside it what lowering a label costs."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from lampopt.reporting.charts import MOST, Axes, number, tag
+from lampopt.types import Array
+
+WIDTH, HEIGHT, ROOM = 460, 360, 1.06
+STYLE = """text{font:12px system-ui,sans-serif;fill:#5d6b7a}.label{fill:#1d2733}.grid{stroke:#d9dfe5}
+.agree{stroke:#5d6b7a;stroke-dasharray:5 4}.front{fill:none;stroke:#2c6da8;stroke-width:2.2}.knee{fill:#c4500a}
+.other{fill:#9fb0c0;fill-opacity:.35}.efficient{fill:#2c6da8}"""
+
+
+def picture(
+    distance: Array, error: Array, knee: int, beside: tuple[Array, Array, Array, Array] | None = None, label: str = ""
+) -> str:
+    """A front of distance and error (B,); `beside` distance, value, error and efficiency where a label is lowered."""
+    charts = [_front(distance, error, knee), *([] if beside is None else [_lowered(*beside, label)])]
+    wide = WIDTH * len(charts)
+    inner = "".join(
+        chart.replace("<svg ", f'<svg x="{WIDTH * i}" width="{WIDTH}" height="{HEIGHT}" ', 1)
+        for i, chart in enumerate(charts)
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{HEIGHT}" viewBox="0 0 {wide} {HEIGHT}">'
+        f'<style>{STYLE}</style><rect width="{wide}" height="{HEIGHT}" fill="#fff"/>{inner}</svg>\n'
+    )
+
+
+def _axes(distance: Array, low: float, high: float, label: str, title: str) -> Axes:
+    far = ROOM * float(distance.max()) or 1.0
+    return Axes((0.0, far), (low, high), "‖alpha − centre‖", label, title, width=WIDTH, height=HEIGHT)
+
+
+def _front(distance: Array, error: Array, knee: int) -> str:
+    chart = _axes(
+        distance, 0.0, ROOM * float(error.max()) or 1.0, "error [half ranges]", "accuracy against reliability"
+    )
+    ends = [(float(distance[i]), float(error[i])) for i in (0, -1)]
+    chart.line(ends[0], ends[1], "agree")
+    line = " ".join(f"{chart.x(float(x)):.1f},{chart.y(float(y)):.1f}" for x, y in zip(distance, error, strict=True))
+    chart.parts.append(f'<polyline class="front" points="{line}"/>')
+    at = float(distance[knee]), float(error[knee])
+    chart.parts.append(_disc(chart, *at, 5.0, "knee", f"knee: distance {number(at[0])}, error {number(at[1])}"))
+    chart.note("knee", chart.x(at[0]) + 9, chart.y(at[1]) - 7)
+    return chart.svg()
+
+
+def _lowered(distance: Array, value: Array, error: Array, efficient: Array, label: str) -> str:
+    """The larger a disc, the less of all else is missed; what others beat is pale."""
+    low, high = float(value.min()), float(value.max())
+    room = (ROOM - 1) * (high - low) or abs(high) * 0.1 or 1.0
+    chart = _axes(distance, low - room, high + room, label, f"{label} against distance")
+    size = 1.5 + 3 * (1 - error / (float(error.max()) or 1.0))
+    drawn = np.argsort(efficient, kind="stable")[np.linspace(0, len(value) - 1, min(MOST, len(value))).astype(int)]
+    for i in drawn.tolist():
+        said = (
+            f"distance {number(float(distance[i]))}, {label} {number(float(value[i]))}, error {number(float(error[i]))}"
+        )
+        kind = "efficient" if efficient[i] else "other"
+        chart.parts.append(_disc(chart, float(distance[i]), float(value[i]), float(size[i]), kind, said))
+    chart.note("larger: less of all else is missed", WIDTH - 14, 24, "end")
+    return chart.svg()
+
+
+def _disc(chart: Axes, x: float, y: float, radius: float, kind: str, title: str) -> str:
+    place = f'cx="{chart.x(x):.1f}" cy="{chart.y(y):.1f}" r="{radius:.1f}"'
+    return f'<circle class="{escape(kind)}" {place}>{tag("title", title)}</circle>'
