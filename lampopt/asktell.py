@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from lampopt.reading import brief, content, path_of, why
 from lampopt.replay import Astray, Replay, Told, Unknown, apart, judged, numbers, read
 from lampopt.solve import solve
 from lampopt.study import Study
-from lampopt.task import Task, contents
+from lampopt.task import Task
 from lampopt.types import Array, Design, Mix, Result, Spec
 from lampopt.types.arrays import assign, frozen_array
 from lampopt.units import said
@@ -305,18 +305,7 @@ class AskTell:
     @property
     def _identity(self) -> str:
         """A hash of what the way of a search depends on."""
-        study = self._task.study
-        asked: dict[str, Any] = {
-            **contents(self._task.bank),
-            "target": self._target,
-            "solver": repr(study.solver),
-            "reference": study.reference,
-            "ranges": study.bounds(self._task.wishes.quantities),
-            "hard": study.hard,
-            "weights": dict(study.weights),
-            "linear": {name: one.written() for name, one in study.linear.items()},
-            "more": [study.alpha, study.ridge, study.norm, study.safe, study.resolution, self._scale],
-        }
+        asked = {"run": self._task.identity, "target": self._target, "scale": self._scale}
         return hashlib.blake2b(json.dumps(asked, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 

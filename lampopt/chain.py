@@ -29,7 +29,7 @@ class _Kept:
 
     key: bytes
     mesh: Trimesh | None
-    values: dict[str, Array] = field(default_factory=dict)
+    values: dict[tuple[str, int], Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +83,14 @@ class Chain:
     def values(self, name: str, measure: Measure, alpha: Array) -> Array:
         """What `measure` says (p,) of the mesh of alpha; NaN where it has no surface, or lacks what is measured."""
         kept = self._made(alpha)
-        if name not in kept.values:
+        key = name, id(measure)
+        if key not in kept.values:
             try:
                 none = np.full(len(measure.names), np.nan)
-                kept.values[name] = none if kept.mesh is None else values_of(name, measure, kept.mesh)
+                kept.values[key] = none if kept.mesh is None else values_of(name, measure, kept.mesh)
             except (MeasureError, EmptyMesh):
-                kept.values[name] = none
-        return kept.values[name]
+                kept.values[key] = none
+        return kept.values[key]
 
     def differentiable(self, measure: Measure) -> bool:
         """Whether there are derivatives all the way."""

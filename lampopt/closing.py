@@ -70,10 +70,11 @@ class Closed:
 
 def measurable(study: Study, bank: Bank, asked: Iterable[str]) -> dict[str, str]:
     """Which measured value tells an asked one, by name: what the study says, then what the bank declares."""
+    own = set(bank.measured_by.values())  # asked for as what is measured
     return {
         name: address
         for name in asked
-        if (address := study.measured.get(name) or bank.measured_by.get(name)) is not None
+        if (address := study.measured.get(name) or bank.measured_by.get(name) or (name if name in own else None))
     }
 
 
@@ -98,10 +99,12 @@ def closed(
     """
     posed, mix = start
     readings = _readings(study, quantities, target, mix)
+    if not readings:
+        return Closed(posed, mix, dict(target))
     ask, jacobian = dict(target), np.diag([reading.slope for reading in readings.values()])
     scale = np.array([reading.column.spread / 2 for reading in readings.values()])
     wanted = np.array([reading.wanted for reading in readings.values()])
-    best: tuple[float, Closed] | None = None
+    best: tuple[tuple[bool, float], Closed] | None = None
     before: tuple[Array, Array] | None = None
     for turn in range(study.turns + 1):
         read = _read(readings, quantities, mix)
@@ -109,8 +112,9 @@ def closed(
         worst = float(np.abs(off).max()) if np.isfinite(off).all() else np.inf
         values, aims = (dict(zip(readings, v.tolist(), strict=True)) for v in (read, wanted))
         told = Closed(posed, mix, dict(ask), values, aims, turn)
-        if best is None or worst < best[0]:
-            best = worst, told
+        rank = (mix.status in ("infeasible", "failed"), worst)  # what nothing meets is no better for being measured
+        if best is None or rank < best[0]:
+            best = rank, told
         log.debug("turn %d: off by %.4g half ranges", turn, worst)
         if turn == study.turns or worst <= CLOSE or worst == np.inf:
             break
@@ -141,12 +145,12 @@ def _readings(study: Study, quantities: Quantities, target: Mapping[str, float],
         if column is None:
             continue  # its term sees every mesh already
         scale = factor(quantity.unit, column.unit, f"{address!r} for {name!r}")
-        if name in study.measured:
+        if name not in bank.measured_by or name in study.measured:
             found[name] = Reading(column, quantity, scale, target[name], 1.0)
         else:
             wanted, slope = _by_exemplars(bank, name, target, mix)
             found[name] = Reading(column, quantity, scale, wanted, slope)
-    if not found:
+    if not found and study.turns:
         raise StudyError(
             "turns: nothing that is asked can be measured: declare it with measured={'name': 'measure.value'}, in the "
             "study or when the bank is built"

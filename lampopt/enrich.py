@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from lampopt.errors import InputError, MeasureError
+from lampopt.identity import whole
 from lampopt.joining import Meshes, Newcomer, chosen_of, given_by, named
 from lampopt.loop import results
 from lampopt.measured import following_ratio, measure_each, resolve_address, values_of
@@ -22,7 +23,6 @@ from lampopt.plugins import Plugins
 from lampopt.protocols import Measure, Progress
 from lampopt.reading import brief, path_of
 from lampopt.study import Study
-from lampopt.task import whole
 from lampopt.types import Array, Bank, Exemplars, Parameter, Result, Scalar
 from lampopt.units import factor, filled, number, said
 

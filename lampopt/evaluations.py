@@ -89,7 +89,7 @@ def evaluations(folder: Path) -> Iterator[Evaluation]:
     for line in lines:
         try:
             yield _read(json.loads(line))
-        except (ValueError, TypeError, RecursionError):
+        except (ValueError, TypeError, OverflowError, RecursionError):
             continue
 
 

@@ -232,6 +232,7 @@ def front(
         _fractions(study, reduce),
         progress or (lambda done, message="": None),
     )
+    task.refuse_turns_and_terms("front", task.asked({}))
     asked = _asked(task)
     given = _ridges(ridges, asked.posed.problem)
     if (1 + len(fractions)) * len(given) > MOST:
@@ -346,7 +347,7 @@ def _span(problem: Problem) -> tuple[float, float]:
 
 def _fractions(study: Study, given: Sequence[float]) -> list[float]:
     found = _numbers(given, "reduce", "expected fractions below 1, such as 0.10")
-    if found and study.objective is None:
+    if found and not isinstance(study.objective, Reduce):
         raise StudyError("reduce: expected a study with an objective, Reduce(name, by=...), got one without")
     if found and not -10 < min(found) <= max(found) < 1:
         raise StudyError(f"reduce: expected fractions below 1, such as 0.10, got {said(given):.80}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf, isfinite, isinf
 from numbers import Real
 from types import MappingProxyType
 from typing import Any
@@ -118,7 +118,7 @@ class Linear:
             if not isinstance(name, str) or value is None or not isfinite(value):
                 raise StudyError(f"linear: {wanted}, got {said(self.of[name])} for {said(name)}")
         low, high = _number(self.low), _number(self.high)
-        if low is None or high is None or not low <= high or (low == -inf and high == inf):
+        if low is None or high is None or not low <= high or (isinf(low) and isinf(high)) or low == inf or high == -inf:
             raise StudyError(
                 f"linear: expected low ≤ high, one of them a number, got {said(self.low)} and {said(self.high)}"
             )
@@ -147,4 +147,9 @@ def _expect_name(what: str, name: object) -> None:
 
 
 def _number(value: object) -> float | None:
-    return None if isinstance(value, bool) or not isinstance(value, Real) or value != value else float(value)
+    if isinstance(value, bool) or not isinstance(value, Real) or value != value:
+        return None
+    try:
+        return float(value)
+    except OverflowError:  # a whole number beyond any float
+        return None

@@ -21,13 +21,14 @@ from lampopt.choices import Value
 from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
 from lampopt.experiments import MOST
 from lampopt.goals import Objective
+from lampopt.identity import whole
 from lampopt.measured import values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Measure, Progress
-from lampopt.reading import path_of, why
+from lampopt.reading import brief, path_of, why
 from lampopt.record import RunFolder, recorded
 from lampopt.study import Study
-from lampopt.task import Designer, Task, whole
+from lampopt.task import Designer, Task
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
 from lampopt.workers import judged, state
@@ -246,6 +247,10 @@ def _results(
 ) -> Generator[Result, None, None]:
     """Check every target first, then yield the results one by one."""
     asked = [task.asked(change) for change in changes]
+    every = sorted({name for target in asked for name in target})
+    for what, named in (("weights", task.study.weights), ("measured", task.study.measured)):
+        if unknown := sorted(set(named) - set(every)):
+            raise StudyError(f"{what}: {brief(unknown)} are not asked for; asked for are {brief(every)}")
     for target in {tuple(target): target for target in asked}.values():  # one for each set of names
         task.posed(target)  # raises here, before the first design, what cannot be asked
     return _yield(task, asked, folder, progress, executor, report, ahead)

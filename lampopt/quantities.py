@@ -124,16 +124,22 @@ class Quantities:
                     yield Quantity(f"{key}.{value}", unit, model=(key, model, place))
         for key, measure in self.measures.items():
             for place, (value, unit) in enumerate(zip(measure.names, measure.units, strict=True)):
-                if name == f"{key}.{value}" or (name == value and name not in columns(self.bank)):
+                if (name == f"{key}.{value}" and name not in columns(self.bank)) or (
+                    name == value and name not in columns(self.bank)
+                ):
                     unit = filled(unit, self.bank.frame.unit)
                     yield Quantity(f"{key}.{value}", unit, measure=(key, measure, place))
 
     def _installed(self, name: str) -> Quantity | None:
         """A value of an installed measure that the study does not name besides."""
         key, _, value = name.partition(".")
-        if self.plugins is None or ("measure", key) not in self.plugins.offers:
+        measure: Measure
+        if key in self.measures:
+            measure = self.measures[key]
+        elif self.plugins is None or ("measure", key) not in self.plugins.offers:
             return None
-        measure: Measure = self.plugins.make("measure", key)
+        else:
+            measure = self.plugins.make("measure", key)
         if value not in measure.names:
             raise StudyError(
                 f"{name!r}: measure {key!r} has no such value; it has {', '.join(f'{key}.{v}' for v in measure.names)}"

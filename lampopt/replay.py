@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, isnan
 from typing import Any
 
 import numpy as np
@@ -110,4 +110,6 @@ def judged(problem: Problem, alpha: Array) -> tuple[float, float]:
     ]  # fmt: skip
     soft, apart = ~problem.hard, alpha - problem.centre
     cost = problem.weight[soft] @ rows[soft] ** 2 + (problem.ridge or 0.0) * (apart @ apart)
-    return max(0.0, *map(float, off)), float(cost) + sum(term(alpha)[0] for term in problem.objectives)
+    total = float(cost) + sum(term(alpha)[0] for term in problem.objectives)
+    worst = max(0.0, *(inf if isnan(value) else float(value) for value in off))
+    return worst, inf if isnan(total) else total

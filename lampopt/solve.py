@@ -117,6 +117,7 @@ def pose(
     weights: Mapping[str, float] | None = None,
     sums: Sequence[tuple[Column, float, float]] = (),
     needed: Sequence[str] = (),
+    moved: Sequence[str] = (),
 ) -> Posed:
     """The problem that asks `targets` of `bank`.
 
@@ -138,6 +139,8 @@ def pose(
         More columns to be kept between two values.
     needed
         Names that exemplars have to have a value for besides.
+    moved
+        Names that may have to move for what is asked, besides those that are.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def pose(
     for low, high in ends:
         if not low <= high:
             raise StudyError(f"ranges: expected low ≤ high, got {low:g} to {high:g}")
-    asked = {c.name for c in (*rows, *limits)}
+    asked = {c.name for c in (*rows, *limits)} | {*moved}
     asked |= {parameter for parameter, address in bank.measured_by.items() if address in asked}
     parameters = [names[q.name] for q in bank.space if names[q.name].spread > 0]
     # "This car, roof lower": nothing but the roof moves. A label cannot move if no parameter does.
@@ -301,7 +304,7 @@ def _moved(posed: Posed, name: str, amount: float) -> str:
         return _change(posed.limits[i], f"{name} {end}", limit, amount)
     if name == BOUNDS and amount:
         return f"{name} wider by {amount:.3g}"
-    return f"{name} {amount:+.3g}" if amount and name not in p.range_names else name
+    return f"{name} by {abs(amount):.3g} half ranges" if amount and name not in p.range_names else name
 
 
 def _change(column: Column, name: str, asked: float, amount: float) -> str:

@@ -314,7 +314,10 @@ class Study:
                 for name, value in measures.items()
             }
         if isinstance(models := document.get("models"), dict):
-            document["models"] = {name: str((folder or Path()) / str(file)) for name, file in models.items()}
+            document["models"] = {
+                name: str((folder or Path()) / file) if isinstance(file, str) and not file.startswith("<") else file
+                for name, file in models.items()
+            }
         if "objective" in document:
             document["objective"] = objective_of(document["objective"])
         return cls(**document)
@@ -349,17 +352,24 @@ def _quantities(known: Bank | Quantities) -> Quantities:
 def _checked(study: Study) -> None:
     """What is asked of the solver besides targets and ranges, and of those that measure."""
     for name, weight in study.weights.items():
-        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < inf:
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight <= sys.float_info.max:
             raise StudyError(f"weights: {name}: expected a positive number, got {said(weight)}")
     linear = {name: linear_of(value, name) for name, value in table_of(study.linear, "linear").items()}
     _assign(study, "linear", MappingProxyType(linear))
+    most = sys.float_info.max  # a whole number may be beyond any float
     if study.alpha is not None:
         ends = [native(value) for value in study.alpha] if isinstance(study.alpha, Sequence) else []
-        if len(ends) != 2 or not all(isinstance(v, int | float) for v in ends) or not ends[0] < ends[1]:
+        plain = all(
+            isinstance(v, int | float)
+            and not isinstance(v, bool)
+            and (v in (-inf, inf) or abs(v) <= sys.float_info.max)
+            for v in ends
+        )
+        if len(ends) != 2 or not plain or not ends[0] < ends[1]:
             raise StudyError(f"alpha: expected the lowest and the highest coefficient, got {said(study.alpha)}")
         _assign(study, "alpha", (float(ends[0]), float(ends[1])))
     ridge: object = study.ridge
-    if ridge is not None and (isinstance(ridge, bool) or not isinstance(ridge, int | float) or not 0 <= ridge < inf):
+    if ridge is not None and (isinstance(ridge, bool) or not isinstance(ridge, int | float) or not 0 <= ridge <= most):
         raise StudyError(f"ridge: expected a number of at least 0, got {said(ridge)}")
     if study.norm not in (1, 2):
         raise StudyError(f"norm: expected 1 or 2, got {said(study.norm)}")

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import pickle
-import sys
-import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -27,7 +22,8 @@ from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
 from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
-from lampopt.goals import Reduce
+from lampopt.goals import Minimise, Reduce
+from lampopt.identity import contents, given, hashed, learned, told
 from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
@@ -138,12 +134,19 @@ class Task:
         """What makes this task's designs."""
         return Designer(self.bank, lambda: self.decoder, self.study.resolution)
 
-    @property
-    def solves_long(self) -> bool:
-        """Whether a solve makes meshes or sweeps probes, so that it is worth a worker."""
-        asked = [*self.study.names, *self.study.ranges, *([self.study.objective.name] if self.study.objective else [])]
-        measured = any(self.wishes.quantities[name].measure is not None for name in asked)
+    def solves_long(self, target: Mapping[str, float]) -> bool:
+        """Whether a solve for `target` makes meshes or sweeps probes, so that it is worth a worker."""
+        measured = any(self.wishes.quantities[name].measure is not None for name in {*self._named, *target})
         return bool(self.study.turns or "mismatch" in self.study.safe or measured)
+
+    def refuse_turns_and_terms(self, who: str, target: Mapping[str, float]) -> None:
+        """Raise StudyError where `who`, which knows linear targets only, is given others, or corrections."""
+        if self.study.turns or self.study.measured:
+            raise StudyError(f"{who}: looks at what is asked, not at what is measured: leave turns and measured out")
+        bent = [name for name in {*self._named, *target} if self.wishes.quantities[name].column is None]
+        if bent or isinstance(self.study.objective, Minimise):
+            what = ", ".join(sorted(bent)) or f"an objective that is {self.study.objective}"
+            raise StudyError(f"{who}: expected what is linear in the mix (parameters, labels), got {what}")
 
     def solved(self, target: Mapping[str, float], memory: Memory | None = None) -> tuple[Posed, Mix]:
         """The problem of one target, and its mix."""
@@ -152,7 +155,8 @@ class Task:
 
     def made(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
         """One design: its ask corrected as often as the study says, then judged."""
-        if not self.study.turns:
+        measured = self.study.level == "mesh" and any(name in target for name in self.study.measured)
+        if not (self.study.turns or measured):
             return self.judge(target, posed, mix)
         found = closed(self.study, self.wishes.quantities, target, self.solved, (posed, mix))
         return self.judge(target, found.posed, found.mix, found)
@@ -187,8 +191,10 @@ class Task:
         found = self.result(made, checks)
         if turned is None:
             return found
-        told = {f"asked.{name}": value for name, value in turned.asked.items() if value != target.get(name)}
-        return replace(found, provenance={**found.provenance, "turns": turned.turns, **told})
+        changed = {f"asked.{name}": value for name, value in turned.asked.items() if value != target.get(name)}
+        if not self.study.turns:
+            return found
+        return replace(found, provenance={**found.provenance, "turns": turned.turns, **changed})
 
     def result(self, made: Design, checks: Sequence[Check]) -> Result:
         """A design with the evidence about it. Raises PluginError where two checks have one name."""
@@ -196,7 +202,11 @@ class Task:
 
     def key(self, target: Mapping[str, float]) -> str:
         """What tells a design from all others: a hash of everything that it depends on."""
-        return _hash({"run": self.identity, "target": dict(target)})
+        known = {"run": self.identity, "target": dict(target)}
+        swept = [
+            name for name in target if name not in self._named and self.wishes.quantities[name].measure is not None
+        ]
+        return hashed(known | ({"measuring": {name: self._who(name) for name in swept}} if swept else {}))
 
     @cached_property
     def identity(self) -> str:
@@ -207,7 +217,7 @@ class Task:
         def offer(kind: str, name: str) -> str:
             return str(self.plugins.get(kind, name))
 
-        return _hash(
+        return hashed(
             {
                 "versions": dict(self.provenance),
                 **contents(self.bank),
@@ -218,7 +228,7 @@ class Task:
                 "hard": study.hard,
                 **self._more,
                 "measures": {
-                    name: _told(choice, self.measures[name], self.plugins)
+                    name: told(choice, self.measures[name], self.plugins)
                     for name, choice in study.to_be_measured().items()
                 },
                 "drift": {address: self._drift(address) for address in drift},
@@ -239,19 +249,42 @@ class Task:
             "objective": None if isinstance(study.objective, Reduce | None) else study.objective.written(),
             "linear": {name: one.written() for name, one in study.linear.items()},
             "alpha": study.alpha,
-            "ridge": study.ridge,
+            "ridge": None if study.ridge is None else repr(float(study.ridge)),
             "norm": None if study.norm == 2 else study.norm,
             "safe": study.safe,
-            "models": {name: _learned(model) for name, model in self.models.items()},
-            "measured": dict(study.measured),
+            "models": {
+                name: learned(model) if isinstance(model, State) else given(model)
+                for name, model in self.models.items()
+            },
+            "measured": {name: [address, self._who(address)] for name, address in study.measured.items()},
+            "measuring": {
+                name: self._who(name) for name in self._named if self.wishes.quantities[name].measure is not None
+            },
             "turns": study.turns,
         }
         return {name: value for name, value in asked.items() if value}
 
+    @property
+    def _named(self) -> list[str]:
+        """What the study itself names to be asked, kept within a range, or sought."""
+        objective = [self.study.objective.name] if self.study.objective is not None else []
+        return [*self.study.names, *self.study.ranges, *objective]
+
+    def _who(self, name: str) -> str | list[str]:
+        """What tells the measure behind a measured value from others."""
+        quantity = self.wishes.quantities
+        found = quantity.measured(name) if ":" in name or name in self.bank.measured_by.values() else quantity[name]
+        if found.measure is None:
+            return "the bank"
+        key, measure, _ = found.measure
+        if key in self.measures:
+            return told(self.study.to_be_measured()[key], measure, self.plugins)
+        return learned(measure) if ":" in name else str(self.plugins.get("measure", key))
+
     def _drift(self, address: str) -> str:
         """What tells the measure behind `address` from others."""
         name, measure, _ = resolve_address(address, self.plugins)
-        return _learned(measure) if ":" in address else str(self.plugins.get("measure", name))
+        return learned(measure) if ":" in address else str(self.plugins.get("measure", name))
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
@@ -269,35 +302,6 @@ class Task:
             "level": self.study.level,
             "resolution": self.study.resolution,
         }
-
-
-def contents(bank: Bank) -> dict[str, object]:
-    """What in a bank a result depends on, arrays as hashes, whatever file it is in."""
-    return {
-        "space": [str(q) for q in (*bank.space, *bank.label_space)],
-        "names": bank.names,
-        "measured_by": dict(bank.measured_by),
-        "mesh_facts": dict(bank.mesh_facts),
-        "frame": [bank.frame.scale, bank.frame.centre.tolist(), bank.frame.unit],
-        "bank": [lamp.digest(getattr(bank, name)) for name in lamp.PLAIN],
-        "shared": {name: lamp.digest(array) for name, array in bank.shared.items()},
-        "limits": dict(bank.limits),
-        "decoder": repr(bank.decoder),
-    }
-
-
-def whole(bank: Bank) -> str:
-    """A hash of all that a bank's file holds."""
-    found = bank.calibration
-    evidence = None if found is None else [lamp.digest(getattr(found, name)) for name in lamp.EVIDENCE]
-    return _hash(
-        {
-            **contents(bank),
-            "ranges": [[q.low, q.high] for q in (*bank.space, *bank.label_space)],
-            "calibration": None if found is None else [found.tolerance, found.checks, evidence],
-            "provenance": dict(bank.provenance),
-        }
-    )
 
 
 @contextmanager
@@ -321,15 +325,6 @@ def _measure(name: str, choice: Spec | Measure, plugins: Plugins) -> Measure:
     return made
 
 
-def _told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> str | list[str]:
-    """What tells a measure from others: who offers it, with which options, and what it has learned."""
-    if not isinstance(choice, Spec):
-        return _given(choice)
-    who = str(plugins.get("measure", choice.name))
-    more = [*([repr(choice)] if choice.options else []), *([_learned(measure)] if isinstance(measure, State) else [])]
-    return [who, *more] if more else who
-
-
 def _model(name: str, choice: str | Path | Model, plugins: Plugins) -> Model:
     if not isinstance(choice, str | Path):
         return choice
@@ -339,28 +334,6 @@ def _model(name: str, choice: str | Path | Model, plugins: Plugins) -> Model:
             "store it with lampopt.fit_model(..., store=FILE)"
         )
     return load_model(choice, plugins=plugins)
-
-
-def _learned(measure: Measure | Model) -> str:
-    """A hash of all that a learned measure holds; of one that cannot tell, no other is ever taken for it."""
-    if not isinstance(measure, State):
-        return uuid.uuid4().hex
-    return _hash([[name, lamp.digest(np.asarray(array))] for name, array in sorted(measure.state().items())])
-
-
-def _given(measure: Measure) -> list[str]:
-    """A measure given as an object: its class, the file that defines it, with all that it may call there, its options.
-
-    What cannot be read (typed at a prompt) or pickled may be anything: no recorded result is taken for its own.
-    """
-    cls = type(measure)
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    try:
-        source = Path(file).read_bytes() if file else uuid.uuid4().bytes
-        options = _learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
-    except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
-        source = options = uuid.uuid4().bytes
-    return [cls.__module__, cls.__qualname__, *(hashlib.blake2b(part).hexdigest() for part in (source, options))]
 
 
 def _shape(mesh: Trimesh) -> tuple[str, str]:
@@ -381,7 +354,3 @@ def _unique(checks: Sequence[Check]) -> list[Check]:
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise PluginError(f"checks: {', '.join(twice)} come twice; a plugin's checks need names of their own")
     return list(checks)
-
-
-def _hash(value: object) -> str:
-    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=12).hexdigest()

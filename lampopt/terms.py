@@ -130,6 +130,11 @@ class Shaped:
         """As the term's."""
         return rough(self.term)
 
+    @property
+    def target(self) -> bool:
+        """Whether it is a target that should be 0, squared."""
+        return self.power == 2
+
     def __call__(self, alpha: Array) -> tuple[float, Array | None]:
         """Value and gradient."""
         value, gradient = self.term(alpha)

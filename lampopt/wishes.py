@@ -20,9 +20,8 @@ from lampopt.goals import Linear, Minimise
 from lampopt.mixes import Target
 from lampopt.protocols import Decoder
 from lampopt.quantities import Quantities, Quantity, inputs_of
-from lampopt.reading import brief
 from lampopt.safeguards import safeguard
-from lampopt.solve import Column, Posed, pose
+from lampopt.solve import Column, Posed, columns, pose
 from lampopt.study import Study
 from lampopt.terms import Linear as Row
 from lampopt.terms import MeasuredValue, Remembered, model_value, shaped
@@ -83,9 +82,6 @@ class Wishes:
     def posed(self, target: Target, memory: Memory | None = None) -> Posed:
         """The problem that `target` [the bank's units] poses, and its terms; `memory` knows what was evaluated."""
         study, known = self.study, {name: self.quantities[name] for name in target}
-        for what, table in (("weights", study.weights), ("measured", study.measured)):
-            if unknown := sorted(set(table) - set(target)):
-                raise StudyError(f"{what}: {brief(unknown)} are not asked for; asked for are {brief(list(target))}")
         linear = {name: value for name, value in target.items() if known[name].column is not None}
         bounds = study.bounds(self.quantities)
         ranges = {name: pair for name, pair in bounds.items() if self.quantities[name].column is not None}
@@ -96,6 +92,7 @@ class Wishes:
             hard=study.hard,
             reference=study.reference,
             weights=study.weights,
+            moved=[part for given in study.linear.values() for part in given.of],
             sums=[self._sum(name, given) for name, given in study.linear.items()],
             needed=self._needed(),
         )
@@ -130,14 +127,16 @@ class Wishes:
         return [goal.name]
 
     def _sum(self, name: str, given: Linear) -> tuple[Column, float, float]:
-        columns = []
+        if name in columns(self.bank) or name in self.study.ranges:
+            raise StudyError(f"linear: {name!r} is the name of something else: call the sum otherwise")
+        values = []
         for part, factor in given.of.items():
             quantity = self.quantities[part]
             if quantity.column is None:
                 raise StudyError(f"linear: {name}: {part!r} is not linear in the mix; a range can be asked of it alone")
-            columns.append(factor * quantity.column.values)
+            values.append(factor * quantity.column.values)
         units = {self.quantities[part].unit for part in given.of}
-        found = Column(name, units.pop() if len(units) == 1 else "", np.sum(columns, 0))
+        found = Column(name, units.pop() if len(units) == 1 else "", np.sum(values, 0))
         if found.spread == 0:
             raise StudyError(f"linear: {name}: all exemplars have {found.low:g}: no mix can change it")
         return found, given.low, given.high

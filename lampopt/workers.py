@@ -80,8 +80,10 @@ def judged(
         result = None if place is None else place.read(key, task.bank, task.designer)
         if result is None:
             began = time.perf_counter()
-            memory = None if place is None else Memory.at(place.folder, key)
-            found = task.solved(target, memory) if task.solves_long else mixes.at(number)
+            if task.solves_long(target):
+                found = task.solved(target, None if place is None else Memory.at(place.folder, key))
+            else:
+                found = mixes.at(number)
             result = task.made(target, *found)
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
@@ -163,7 +165,7 @@ class _Ahead:
                 self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
             ):
                 # What takes long to solve is solved there too; the rest here, many together.
-                mix = None if self._task.solves_long else self._mixes.at(number)[1]
+                mix = None if self._task.solves_long(target) else self._mixes.at(number)[1]
                 self._sent[number] = self._submit(target, mix)
             self._next += 1
 

@@ -57,7 +57,7 @@ LAYERS = (
     {"choices"},
     {"experiments"},
     {"study"},
-    {"wishes", "closing"},
+    {"identity", "wishes", "closing"},
     {"task"},
     {"crew"},
     {"workers"},

@@ -153,3 +153,22 @@ def test_turns_are_another_design(bank, tmp_path):
     assert result.provenance["turns"] > 0
     assert toys.Size is not None
     assert small.CALLS["decode"] >= before
+
+
+def test_what_is_declared_measurable_is_measured_without_corrections_too(bank):
+    result = run(bank, targets={"length": 3.2}, measures={"size": toys.Size()}, measured={"length": "size.length"})
+    assert not result.check("measured.length").passed
+    assert "turns" not in result.provenance
+    with pytest.raises(lampopt.errors.LampoptError):
+        run(bank, targets={"length": 3.2}, measured={"length": "nonsense.foo"})
+
+
+def test_what_is_asked_as_it_is_measured_is_corrected(bank):
+    result = run(bank, targets={"extents.length": 3.2}, turns=5)
+    assert result.design.mesh.extents[0] == pytest.approx(3.2, abs=1e-3)
+
+
+def test_a_correction_that_nothing_can_meet_is_not_taken(bank):
+    """The blunted length needs an ask beyond the range that is kept."""
+    result = run(bank, targets={"length": 3.0}, ranges={"extents.length": (0.0, 3.0)}, solver="casadi", turns=4)
+    assert result.design.mix.status == "exact"

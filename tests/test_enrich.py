@@ -12,7 +12,7 @@ import pytest
 import lampopt
 from lampopt import Parameter, Study, cli
 from lampopt.errors import BankError, InputError
-from lampopt.task import whole
+from lampopt.identity import whole
 from lampopt.testing import shapes
 
 HERE = Path(__file__).parent

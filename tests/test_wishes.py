@@ -462,3 +462,110 @@ def test_a_model_from_a_file(bank, tmp_path):
 
 def test_the_solver_is_said_in_the_provenance(bank):
     assert run(bank, solver=Spec("casadi", ridge=0.1)).provenance["solver"].startswith("Spec('casadi', ridge=0.1)")
+
+
+# What a review found
+
+
+class Other:
+    """A measure of the study's own under an installed one's name."""
+
+    names, units = ("area",), ("L^2",)
+
+    def __call__(self, mesh):
+        return np.array([-7.0])
+
+
+def test_a_measure_of_the_study_hides_an_installed_one_of_its_name(bank):
+    known = Task.of(Study(bank, measures={"mine": Other()}), PLUGINS).wishes.quantities
+    assert known["mine.area"].measure[1] is not toys.Volume
+    with pytest.raises(StudyError, match=r"'mine\.volume': measure 'mine' has no such value; it has mine\.area"):
+        known["mine.volume"]
+
+
+def test_what_is_declared_may_be_reported_too(bank):
+    result = run(bank, targets={"extents.length": 2.7}, measures=("extents",), level="mesh")
+    assert result.check("extents.length").value == pytest.approx(2.7, abs=1e-5)
+
+
+def test_ridge_0_is_another_question_than_the_solvers_own(bank):
+    study = Study(bank, targets={"length": 3.4}, solver=Spec("casadi", ridge=0.5))
+    other = Study(bank, targets={"length": 3.4}, solver=Spec("casadi", ridge=0.5), ridge=0.0)
+    assert Task.of(study, PLUGINS).identity != Task.of(other, PLUGINS).identity
+
+
+def test_who_measures_is_part_of_the_question(bank):
+    class OfferOther(Offer):
+        @lampopt.hookimpl
+        def lampopt_measures(self):
+            return {"mine": Twice}
+
+    others = Plugins.load([("small", small.Plugin()), ("another", OfferOther())])
+    for asked in ({"objective": Minimise("mine.volume")}, {"ranges": {"mine.volume": (1, 2)}}):
+        one, two = (Task.of(Study(bank, **asked), given) for given in (PLUGINS, others))
+        assert one.identity != two.identity
+    one, two = (Task.of(Study(bank), given).key({"mine.volume": 2.0}) for given in (PLUGINS, others))
+    assert one != two
+
+
+@dataclass(frozen=True)
+class Twice(toys.Volume):
+    def __call__(self, mesh):
+        return 2 * super().__call__(mesh)
+
+
+def test_models_without_state_are_told_by_their_class_and_options(bank):
+    one, two = (Task.of(Study(bank, models={"aero": Drag()}), PLUGINS).identity for _ in range(2))
+    assert one == two
+    assert one != Task.of(Study(bank, models={"aero": SymbolicDrag()}), PLUGINS).identity
+
+
+def test_a_soft_target_that_is_missed_is_not_called_met(bank):
+    result = run(bank, targets={"length": 2.5, "aero.drag": 0.01}, hard=("length",), models={"aero": SymbolicDrag()})
+    assert result.design.mix.status == "inexact"
+    assert "aero.drag cannot be had" in result.design.mix.message
+
+
+def test_a_slack_range_on_a_mesh_costs_no_search(bank):
+    small.CALLS.clear()
+    result = run(bank, targets={"length": 2.6}, ranges={"volume": (0.1, 99.0)}, measures={"own": toys.Volume()})
+    assert result.design.mix.status == "exact"
+    assert small.CALLS["decode"] < 20
+
+
+def test_a_sum_needs_a_name_of_its_own_and_its_parts_may_move(bank):
+    with pytest.raises(StudyError, match="linear: 'length' is the name of something else"):
+        run(bank, linear={"length": Linear({"width": 1.0}, high=2.0)})
+    total = Linear({"length": 1.0, "width": 1.0}, high=3.2)
+    result = run(bank, targets={"length": 2.2}, reference="box_1", linear={"sum": total})
+    assert values(result) == pytest.approx({"length": 2.2, "width": 1.0}, abs=1e-6)
+
+
+def test_who_looks_at_linear_targets_alone_says_so(bank):
+    asked = {"targets": {"aero.lift": 3.0}, "models": {"aero": Drag()}}
+    for look, who in ((lampopt.explore, "explore"), (lampopt.front, "front")):
+        with pytest.raises(StudyError, match=rf"{who}: expected what is linear in the mix .*aero\.lift"):
+            look(Study(bank, **asked), plugins=PLUGINS)
+        with pytest.raises(StudyError, match=f"{who}: looks at what is asked"):
+            look(Study(bank, targets={"length": 2.5}, turns=2), plugins=PLUGINS)
+
+
+def test_numbers_beyond_any_float_are_refused():
+    for make in (
+        lambda: Reduce("drag", 10**400),
+        lambda: Minimise("drag", 10**400),
+        lambda: Linear({"a": 10**400}, high=1),
+    ):
+        with pytest.raises(StudyError):
+            make()
+    for asked in (
+        {"ridge": 10**400},
+        {"alpha": (0, 10**400)},
+        {"targets": {"a": 1}, "weights": {"a": 10**400}},
+        {"alpha": (True, 2)},
+    ):
+        with pytest.raises(StudyError):
+            Study("a.lamp", **asked)
+    for ends in ((inf, inf), (-inf, -inf), (inf, 2.0)):
+        with pytest.raises(StudyError, match="expected low ≤ high"):
+            Linear({"a": 1}, *ends)

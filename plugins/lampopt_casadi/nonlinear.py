@@ -24,6 +24,7 @@ from .words import held_off, infeasible
 FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the centre
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
 HELD = 1e-6  # what is met to this [normalised] is met
+MISSED = 1e-3  # what a squared target may be off [half range]: below that it is too flat to be told
 PRESSING = 1e-4  # a multiplier this large [at most 1] tells that a requirement presses on those that give
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 WORDS = {
@@ -62,6 +63,10 @@ class Nonlinear:
     def solve(self, near: Array) -> Mix:
         """The mix, searched from `near` (N,)."""
         problem, squares = self.problem, self.squares
+        if not problem.objectives and self._kept(near):  # the constraints do not press
+            residual = problem.matrix @ near - problem.target
+            if np.abs(residual).max(initial=0.0) <= HELD * (1 + np.abs(problem.target).max(initial=0.0)):
+                return Mix(near + (1 - near.sum()) / len(near), residual, "exact", "every target is met")
         rest = [*problem.objectives, *problem.constraints, *problem.equalities]
         program = _Program(self.must, near, all(is_symbolic(term) for term in rest), self.iterations)
         alpha = program.alpha
@@ -81,6 +86,9 @@ class Nonlinear:
         words = WORDS.get(status, f"IPOPT ended with {status}")
         solved = status in SOLVED
         missed = np.abs(residual).max(initial=0.0) > HELD * (1 + np.abs(problem.target).max(initial=0.0))
+        wished = [called(term, "a target") for term in problem.objectives if _is_missed(term, found)]
+        if solved and not missed and wished and self._kept(found):
+            return Mix(found, residual, "inexact", f"{', '.join(wished)} cannot be had nearby, or is held off; {words}")
         if solved and not missed and self._kept(found):
             return Mix(found, residual, "exact", f"every target is met; {words}" if len(problem.names) else words)
         asked = _Elastic(Requirements.of(problem, soft=True), self._terms(), near, self.iterations)
@@ -109,8 +117,13 @@ class Nonlinear:
         ]
 
     def _kept(self, alpha: Array) -> bool:
-        terms = max((max(v, low - v) for _, term, low in self._terms() for v in [term(alpha)[0]]), default=0.0)
-        return max(terms, float(np.abs(self.must.off(alpha)).max(initial=0.0))) <= HELD
+        terms = [max(value, low - value) for _, term, low in self._terms() for value in [term(alpha)[0]]]
+        return all(value <= HELD for value in [*terms, float(np.abs(self.must.off(alpha)).max(initial=0.0))])
+
+
+def _is_missed(term: Term, alpha: Array) -> bool:
+    """Whether a term that is a target, squared, is off by more than noise."""
+    return bool(getattr(term, "target", False)) and not term(alpha)[0] <= MISSED**2
 
 
 @dataclass(eq=False)

@@ -1,0 +1,82 @@
+"""What tells banks, measures and models apart: short hashes of all that a result depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import sys
+import uuid
+from pathlib import Path
+
+import numpy as np
+
+from lampopt import lamp
+from lampopt.plugins import Plugins
+from lampopt.protocols import Measure, Model, State
+from lampopt.types import Bank, Spec
+
+
+def contents(bank: Bank) -> dict[str, object]:
+    """What in a bank a result depends on, arrays as hashes, whatever file it is in."""
+    return {
+        "space": [str(q) for q in (*bank.space, *bank.label_space)],
+        "names": bank.names,
+        "measured_by": dict(bank.measured_by),
+        "mesh_facts": dict(bank.mesh_facts),
+        "frame": [bank.frame.scale, bank.frame.centre.tolist(), bank.frame.unit],
+        "bank": [lamp.digest(getattr(bank, name)) for name in lamp.PLAIN],
+        "shared": {name: lamp.digest(array) for name, array in bank.shared.items()},
+        "limits": dict(bank.limits),
+        "decoder": repr(bank.decoder),
+    }
+
+
+def whole(bank: Bank) -> str:
+    """A hash of all that a bank's file holds."""
+    found = bank.calibration
+    evidence = None if found is None else [lamp.digest(getattr(found, name)) for name in lamp.EVIDENCE]
+    return hashed(
+        {
+            **contents(bank),
+            "ranges": [[q.low, q.high] for q in (*bank.space, *bank.label_space)],
+            "calibration": None if found is None else [found.tolerance, found.checks, evidence],
+            "provenance": dict(bank.provenance),
+        }
+    )
+
+
+def told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> str | list[str]:
+    """What tells a measure from others: who offers it, with which options, and what it has learned."""
+    if not isinstance(choice, Spec):
+        return given(choice)
+    who = str(plugins.get("measure", choice.name))
+    more = [*([repr(choice)] if choice.options else []), *([learned(measure)] if isinstance(measure, State) else [])]
+    return [who, *more] if more else who
+
+
+def learned(measure: Measure | Model) -> str:
+    """A hash of all that a learned measure holds; of one that cannot tell, no other is ever taken for it."""
+    if not isinstance(measure, State):
+        return uuid.uuid4().hex
+    return hashed([[name, lamp.digest(np.asarray(array))] for name, array in sorted(measure.state().items())])
+
+
+def given(measure: Measure | Model) -> list[str]:
+    """A measure given as an object: its class, the file that defines it, with all that it may call there, its options.
+
+    What cannot be read (typed at a prompt) or pickled may be anything: no recorded result is taken for its own.
+    """
+    cls = type(measure)
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    try:
+        source = Path(file).read_bytes() if file else uuid.uuid4().bytes
+        options = learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
+    except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
+        source = options = uuid.uuid4().bytes
+    return [cls.__module__, cls.__qualname__, *(hashlib.blake2b(part).hexdigest() for part in (source, options))]
+
+
+def hashed(value: object) -> str:
+    """A short hash of plain values."""
+    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=12).hexdigest()
