@@ -31,17 +31,23 @@ ROOT = Path(__file__).resolve().parents[1]
 # What a judged design depends on.
 CORE = (
     "angles",
+    "chain",
     "check",
+    "closing",
     "decode",
     "loop",
     "measured",
     "metrics",
     "mix",
     "mixes",
+    "quantities",
+    "safeguards",
     "solve",
     "task",
+    "terms",
     "topology",
     "units",
+    "wishes",
 )
 ROWS = 1  # raise it when kept rows come to hold something else
 Row = dict[str, Any]

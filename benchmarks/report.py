@@ -56,7 +56,7 @@ PROBE = """
   };
   const filled = () => pixels(() => true);
   const coloured = () => pixels((red, blue) => Math.abs(red - blue) > 40);
-  const crowded = () => all("svg.bars").flatMap((chart) => {  // words in a chart of bars that are cut or overlap
+  const crowded = () => all("svg.bars, svg.parallel").flatMap((chart) => {  // words in a chart that are cut or overlap
     const boxes = [...chart.querySelectorAll("text")].map((text) => text.getBBox());
     const apart = (a, b) => a.x + a.width < b.x || b.x + b.width < a.x || a.y + a.height < b.y || b.y + b.height < a.y;
     const inside = (a) => a.x >= 0 && a.x + a.width <= chart.viewBox.baseVal.width;
@@ -84,6 +84,13 @@ PROBE = """
       if (card.querySelector("img") && !filled()) found.empty++;
       found.crowded += crowded();
     }
+    found.strands = all(".strand[data-key]").length;
+    found.alone = all(".strand[data-key]").filter((strand) => {  // lines that point at nothing else when pointed at
+      strand.dispatchEvent(new PointerEvent("pointerenter"));
+      const near = all(".near"), told = document.querySelector("#tip").textContent;
+      strand.dispatchEvent(new PointerEvent("pointerleave"));
+      return near.length < 2 || !near.includes(strand) || all(".near").length || !told.startsWith("design ");
+    }).length;
     found.cards = all(".card").length;
     found.opened = titles.size;
     click("[data-filter=ok]");
@@ -172,7 +179,7 @@ def faults(found: dict[str, Any]) -> list[str]:
         return [*wrong, "the page did not come to its end"]
     if found["loaded"]:
         wrong.append(f"it asked for {found['loaded']}")
-    wrong += [f"{name}: {found[name]}" for name in ("broken", "empty", "crowded", "uneven") if found[name]]
+    wrong += [f"{name}: {found[name]}" for name in ("broken", "empty", "crowded", "uneven", "alone") if found[name]]
     wrong += [f"{name}: none" for name in ("images", "canvases", "shape") if not found[name]]
     if found["opened"] != found["cards"]:
         wrong.append(f"{found['opened']} of {found['cards']} designs open")

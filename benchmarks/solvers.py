@@ -367,7 +367,7 @@ def valley(seed: int, n: int) -> Known:
 
 
 def exponential(seed: int, n: int) -> Known:
-    """ridge·‖alpha − centre‖² + exp(row·alpha): alpha moves against the row by exp(x) / (2 ridge), x by one equation."""
+    """ridge·‖alpha − centre‖² + exp(row·alpha): alpha moves against the row, by one equation in x."""
     row, ridge = np.random.default_rng([seed, n, 10]).uniform(-1, 1, n), 0.5
     centre = np.full(n, 1 / n)
     way = row - row.mean()

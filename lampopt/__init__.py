@@ -3,11 +3,14 @@
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
+from lampopt.enrich import enrich
 from lampopt.exemplars import exemplars
+from lampopt.experiments import Experiments, experiments
 from lampopt.explore import Exploration, SafeInterval, explore
 from lampopt.extrapolation import extrapolation_volume
 from lampopt.fitted import fit_model, fit_surrogate, load_measure, load_model
 from lampopt.front import Front, Reduction, front
+from lampopt.goals import Linear, Maximise, Minimise, Reduce
 from lampopt.hookspecs import hookimpl
 from lampopt.intake import intake, wrap
 from lampopt.lamp import load_bank, store_bank
@@ -16,7 +19,7 @@ from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.motion import Sensitivities, sensitivities, template_of, warp
 from lampopt.recommend import Compared, Comparison
 from lampopt.residuals import Residual, residuals
-from lampopt.study import Reduce, Study
+from lampopt.study import Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
 __all__ = [
@@ -26,9 +29,13 @@ __all__ = [
     "Comparison",
     "Design",
     "Exemplars",
+    "Experiments",
     "Exploration",
     "Frame",
     "Front",
+    "Linear",
+    "Maximise",
+    "Minimise",
     "Mix",
     "Parameter",
     "Problem",
@@ -45,7 +52,9 @@ __all__ = [
     "calibrate",
     "compare",
     "design",
+    "enrich",
     "exemplars",
+    "experiments",
     "explore",
     "extrapolation_volume",
     "fit_model",

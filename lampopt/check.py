@@ -101,20 +101,26 @@ def _met(name: str, off: Array, limits: Limits, note: str) -> Check:
     return Check(name, float(np.abs(off).max(initial=0.0)), "<=", limits[name], "half range", "alpha", note)
 
 
-def mismatches(bank: Bank, decoder: Decoder, alpha: Array, weights: Array) -> tuple[Array, Array]:
+def mismatches(
+    bank: Bank, decoder: Decoder, alpha: Array, weights: Array, chosen: Array | None = None
+) -> tuple[Array, Array]:
     """The linearity mismatch over all probes and over those within `BAND` of the surface (...,) [box].
 
     The mean of |f(z; Wᵀalpha) − Σ alpha_i f(z; w_i)| (paper, section 3), with f(z; w_i) stored in the bank: one
     forward pass and one product in place of N + 1 passes. The band's is NaN for decoders whose values are no
-    distances (C > 1), or where no probe is near. Takes alpha (..., N) with weights (..., D).
+    distances (C > 1), or where no probe is near. Takes alpha (..., N) with weights (..., D), and which probes count;
+    None: all.
 
     Raises
     ------
     BankError
         If the decoder answers in another shape than it did when the bank was built.
     """
-    mixed = np.asarray(decoder.evaluate(bank.shared, weights, bank.probes), float)
-    linear = np.tensordot(alpha, bank.probe_values, 1)
+    probes, values = bank.probes, bank.probe_values
+    if chosen is not None and not chosen.all():
+        probes, values = probes[chosen], values[:, chosen]
+    mixed = np.asarray(decoder.evaluate(bank.shared, weights, probes), float)
+    linear = np.tensordot(alpha, values, 1)
     if mixed.shape != linear.shape:
         raise BankError(
             f"decoder {bank.decoder.name!r}: expected values of shape {linear.shape} at the probes, as when the bank "
@@ -143,17 +149,28 @@ def linearity_checks(found: Sequence[float], limits: Limits) -> list[Check]:
     ]
 
 
-def field_checks(bank: Bank, decoder: Decoder, design: Design, limits: Limits) -> list[Check]:
-    """What the decoder's values at the probes tell, without a mesh."""
+def field_checks(
+    bank: Bank, decoder: Decoder, design: Design, limits: Limits, chosen: Array | None = None
+) -> list[Check]:
+    """What the decoder's values at the probes, or at those `chosen` (M,), tell, without a mesh."""
     alpha = design.mix.alpha
-    found = (*mismatches(bank, decoder, alpha, design.weights), deviations(bank, decoder, alpha))
+    found = (*mismatches(bank, decoder, alpha, design.weights, chosen), deviations(bank, decoder, alpha))
     return linearity_checks([float(value) for value in found], limits)
 
 
 def mesh_checks(
-    bank: Bank, decoder: Decoder, design: Design, resolution: int, limits: Limits, plugins: Plugins
+    bank: Bank,
+    decoder: Decoder,
+    design: Design,
+    resolution: int,
+    limits: Limits,
+    plugins: Plugins,
+    wanted: Mapping[str, float] | None = None,
 ) -> list[Check]:
-    """What the mesh tells: its health, and every parameter that can be measured on it."""
+    """What the mesh tells: its health, and every parameter that can be measured on it.
+
+    `wanted` are the values that some of these should have, where something else than the mix tells them.
+    """
     mesh = design.mesh
     faces = 0 if mesh is None else len(mesh.faces)
     found = [Check("mesh", float(faces), ">=", 1.0, "faces", "mesh", "" if faces else "the field has no surface")]
@@ -173,7 +190,7 @@ def mesh_checks(
             found.append(Check(name, _nan(value), "=", float(expected), "", "mesh", "as the exemplars"))
     if bank.probe_values.shape[-1] == 1:
         found.append(_clearance(bank, decoder, mesh, resolution, limits))
-    found += drift_checks(bank, design.mix.alpha, mesh, limits, plugins)
+    found += drift_checks(bank, design.mix.alpha, mesh, limits, plugins, wanted)
     if isinstance(decoder, DesignChecks):
         theirs = decoder.design_checks(bank.shared, design.weights, bank.frame.to_box(mesh))
         found += _checks(f"decoder {bank.decoder.name!r}: design_checks", theirs)
@@ -195,23 +212,31 @@ def _clearance(bank: Bank, decoder: Decoder, mesh: Trimesh, resolution: int, lim
     )
 
 
-def drift_checks(bank: Bank, alpha: Array, mesh: Trimesh, limits: Limits, plugins: Plugins) -> list[Check]:
+def drift_checks(
+    bank: Bank,
+    alpha: Array,
+    mesh: Trimesh,
+    limits: Limits,
+    plugins: Plugins,
+    wanted: Mapping[str, float] | None = None,
+) -> list[Check]:
     """Every parameter declared measurable, against what the mix predicts for it.
 
     The prediction is Mᵀalpha with M what was measured on the exemplars: Pᵀalpha wherever the measurement is the
     parameter, and still right where it differs by an offset or a factor (a parameter given as a change of length).
+    Where the ask was corrected so that a `wanted` value is measured, that is what counts.
     """
-    found, known = [], _Measured(mesh, plugins)
+    found, known, wanted = [], _Measured(mesh, plugins), wanted or {}
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
         unit = next(q.unit for q in bank.space if q.name == parameter)
-        expected, spread = float(alpha @ values), float(np.ptp(values))
+        expected, spread = wanted.get(parameter, float(alpha @ values)), float(np.ptp(values))
         limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:
             found.append(Check(f"drift.{parameter}", float("nan"), "<=", limit, unit, "mesh", f"{address}: {error}"))
             continue
-        note = f"{address} {value:.6g}, predicted {expected:.6g}"
+        note = f"{address} {value:.6g}, {'wanted' if parameter in wanted else 'predicted'} {expected:.6g}"
         found.append(Check(f"drift.{parameter}", abs(value - expected), "<=", limit, unit, "mesh", note))
     return found
 

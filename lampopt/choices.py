@@ -1,18 +1,20 @@
-"""What a study chooses: plugins by name, as a Spec or as an object; the same as TOML."""
+"""What a study chooses: values, plugins by name, as a Spec or as an object; the same as TOML."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from lampopt.errors import InputError, StudyError
-from lampopt.protocols import Measure
+from lampopt.protocols import Measure, Model
 from lampopt.types import Scalar, Spec
 from lampopt.units import said
 
+Value = float | str  # in the bank's unit, or with its own
 GIVEN = "given-in-python"  # stands in TOML for a measure that was given as an object
 
 
@@ -82,6 +84,29 @@ def written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict
     return found
 
 
+def models_of(given: object) -> Mapping[str, str | Model]:
+    """Models by the name under which their values can be asked for: files, or objects."""
+    found: dict[str, str | Model] = {}
+    for name, choice in table_of(given, "models").items():
+        if "." in name or not name:
+            raise StudyError(f"models: expected a name without dots, for values are called name.value, got {name!r}")
+        if isinstance(choice, str | Path):
+            found[name] = str(choice)
+        elif isinstance(choice, Model) and not isinstance(choice, type):
+            found[name] = choice
+        else:
+            raise StudyError(f"models: {name}: expected the file of a model, or a model, got {said(choice)}")
+    return MappingProxyType(found)
+
+
+def written_models(models: Mapping[str, str | Model]) -> dict[str, str]:
+    """For TOML: files from the current folder; an object by its class, which cannot be made again from it."""
+    return {
+        name: str(Path.cwd() / choice) if isinstance(choice, str) else f"<{_class(choice)}>"
+        for name, choice in models.items()
+    }
+
+
 def beside(choice: Spec, folder: Path | None) -> Spec:
     """`choice` with its option `file`, where it has one, taken from `folder`: as the bank's path is."""
     file = choice.options.get("file")
@@ -97,3 +122,37 @@ def _absolute(choice: Spec) -> Spec:
 
 def _class(value: object) -> str:
     return f"{type(value).__module__}.{type(value).__qualname__}"
+
+
+def value_list(value: object, what: str) -> tuple[Value, ...]:
+    """`value` as numbers and texts such as "1420 mm", at least one. Raises StudyError naming `what`."""
+    if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
+        raise StudyError(f"{what}: expected a list of values, got {said(value)}")
+    found = tuple(v if isinstance(v, str) else native(v) for v in value)
+    if not found:
+        raise StudyError(f"{what}: expected a list of values, got none")
+    if wrong := [v for v in found if not is_value(v)]:
+        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {said(wrong[0])}")
+    return found
+
+
+def value_pair(value: object, what: str) -> tuple[Value, Value]:
+    """`value` as a low and a high value, in whatever units. Raises StudyError naming `what`."""
+    pair = value_list(value, what)
+    if len(pair) != 2:
+        raise StudyError(f"{what}: expected a low and a high value, got {len(pair)} values")
+    return pair[0], pair[1]
+
+
+def is_value(value: object) -> bool:
+    """Whether `value` is a number or a text."""
+    return isinstance(value, str | int | float) and not isinstance(value, bool)
+
+
+def native(value: object) -> Any:
+    """Numpy's numbers as Python's; everything else as it is."""
+    if isinstance(value, bool | int | float):
+        return value
+    if isinstance(value, Integral):
+        return int(value)
+    return float(value) if isinstance(value, Real) else value

@@ -17,13 +17,16 @@ from typing import TYPE_CHECKING
 
 from lampopt import lamp
 from lampopt.bank import decoder_of
+from lampopt.choices import Value
 from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
+from lampopt.experiments import MOST
+from lampopt.goals import Objective
 from lampopt.measured import values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Measure, Progress
 from lampopt.reading import path_of, why
 from lampopt.record import RunFolder, recorded
-from lampopt.study import Reduce, Study, Value
+from lampopt.study import Study
 from lampopt.task import Designer, Task, whole
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
@@ -33,7 +36,6 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
-MOST = 100_000  # combinations of a sweep
 log = logging.getLogger("lampopt")
 
 
@@ -62,7 +64,7 @@ def design(
     *,
     keep: Sequence[str] = (),
     reference: str | None = None,
-    objective: Reduce | None = None,
+    objective: Objective | None = None,
     solver: str | Spec = "kkt",
     measures: Sequence[str] | Mapping[str, str | Spec | Measure] = (),
     limits: Mapping[str, float] | None = None,
@@ -104,23 +106,29 @@ def sweep(
     folder: str | Path | None = None,
     *,
     executor: Executor | None = None,
+    ahead: int | None = None,
     report: bool = True,
     progress: Progress | None = None,
     plugins: Plugins | None = None,
 ) -> Generator[Result, None, None]:
-    """One design for each combination of the values in `grid`, yielded in order as they come; nothing is held.
+    """One design for each target of `grid`, yielded in order as they come; nothing is held.
 
     Parameters
     ----------
     study
         What all designs have in common; `grid` replaces its targets of the same names.
     grid
-        Values by name, every combination of which is made, or a list of target tables; default: `study.sweep`.
+        Values by name, every combination of which is made, or a list of target tables, such as `lampopt.experiments`
+        makes; default: `study.sweep` or `study.experiments`.
     folder
         Where results are recorded. Designs that are there already are read back, not computed again.
     executor
-        Who makes them, as in `concurrent.futures`, many at once; by default this process, one after the other. The
-        results are the same. Other processes read the bank from its file, or from `folder`. It is not shut down.
+        Who makes them, as in `concurrent.futures`, many at once: threads, processes, a Dask cluster
+        (``client.get_executor()``); by default this process, one after the other. The results are the same. Other
+        processes read the bank from its file, or from `folder`. It is not shut down.
+    ahead
+        How many designs the executor may have, under way or done and not taken. Default: twice its workers, as far as
+        it tells, or twice this machine's cores if that is more.
     report
         Whether `report.html` is written into `folder` when all are there.
     progress
@@ -138,12 +146,19 @@ def sweep(
     _expect_study(study)
     if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "submit", None))):
         raise StudyError(f"executor: expected one as in concurrent.futures, with submit, got {executor!r:.80}")
+    if ahead is not None and (executor is None or isinstance(ahead, bool) or not isinstance(ahead, int) or ahead < 1):
+        raise StudyError(
+            f"ahead: expected a whole number from 1 and an executor, got {ahead!r:.80} and {executor!r:.80}"
+        )
     if grid is not None:  # tables have no place in a study
-        study = replace(study, sweep=grid if isinstance(grid, Mapping) else {})
+        study = replace(study, sweep=grid if isinstance(grid, Mapping) else {}, experiments=None)
     changes = _combinations(study.sweep) if grid is None or isinstance(grid, Mapping) else _tables(grid)
-    if not changes:
-        raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, got none")
-    return _results(Task.of(study, plugins), changes, folder, progress, executor, report)
+    if not changes and study.experiments is None:
+        raise StudyError("sweep: expected values by name, such as {'roof': [1.30, 1.36]}, or experiments, got none")
+    task = Task.of(study, plugins)
+    if study.experiments is not None:
+        changes = study.experiments.tables(task.bank)
+    return _results(task, changes, folder, progress, executor, report, ahead)
 
 
 def results(folder: str | Path, *, every: bool = False, plugins: Plugins | None = None) -> Iterator[Result]:
@@ -190,7 +205,7 @@ def _report(folder: Path, study: Study, bank: Bank, plugins: Plugins | None) -> 
     return written
 
 
-def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
+def _combinations(grid: Mapping[str, Sequence[Value]]) -> Sequence[Mapping[str, Value]]:
     if not grid:
         return []
     count = math.prod(len(values) for values in grid.values())
@@ -202,7 +217,7 @@ def _combinations(grid: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
 
 
-def _tables(grid: object) -> list[dict[str, Value]]:
+def _tables(grid: object) -> Sequence[Mapping[str, Value]]:
     """`grid` as a list of target tables."""
     wanted = "sweep: expected values by name, such as {'roof': [1.30, 1.36]}, or a list of tables {'roof': 1.30}"
     if isinstance(grid, str) or not isinstance(grid, Iterable):
@@ -227,12 +242,13 @@ def _results(
     progress: Progress | None,
     executor: Executor | None,
     report: bool,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     """Check every target first, then yield the results one by one."""
     asked = [task.asked(change) for change in changes]
     for target in {tuple(target): target for target in asked}.values():  # one for each set of names
         task.posed(target)  # raises here, before the first design, what cannot be asked
-    return _yield(task, asked, folder, progress, executor, report)
+    return _yield(task, asked, folder, progress, executor, report, ahead)
 
 
 def _yield(
@@ -242,6 +258,7 @@ def _yield(
     progress: Progress | None,
     executor: Executor | None,
     report: bool,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     tell = progress or (lambda done, message="": None)
     with RunFolder.open(folder) if folder is not None else nullcontext() as place:
@@ -253,7 +270,8 @@ def _yield(
             place.write_study(replace(task.study, bank=name).to_toml(), task.identity, keys)
         elif executor is not None and task.bank.path is not None and _holds(task.bank.path, task.bank):
             file = task.bank.path
-        with _said_when_stopped(task, asked, place), closing(judged(task, asked, place, executor, file)) as made:
+        made = judged(task, asked, place, executor, file, ahead)
+        with _said_when_stopped(task, asked, place), closing(made):
             for number in range(len(asked)):
                 tell(number / len(asked), f"design {number + 1} of {len(asked)}")
                 yield next(made)

@@ -31,6 +31,7 @@ def add_exemplars(
     *,
     store: str | Path | None = None,
     accept: Iterable[str] = (),
+    provenance: Mapping[str, Scalar] | None = None,
     progress: Progress | None = None,
     plugins: Plugins | None = None,
 ) -> Bank:
@@ -51,6 +52,8 @@ def add_exemplars(
     accept
         Names of exemplars that intake doubts and that are meant to be as they are, or "all". It doubts also what the
         bank's own do not lead to expect: of measured values, size, bodies and genus.
+    provenance
+        Facts to keep in the bank's provenance beside its own: plain values by names with a dot, "flow.solver".
     progress
         Told how far it is.
     plugins
@@ -70,6 +73,7 @@ def add_exemplars(
     if not isinstance(exemplars, Exemplars):
         raise InputError(f"exemplars: expected lampopt.types.Exemplars, got {exemplars!r:.80}")
     exemplars = _in_order_of(bank, exemplars)
+    told = _told(provenance)
     plugins = plugins or Plugins.load().report()
     decoder = decoder_of(bank, plugins)
     report, measured = _looked_at(bank, decoder, exemplars, accept, progress, plugins)
@@ -81,7 +85,7 @@ def add_exemplars(
         "labels": lamp.digest(exemplars.labels),
         "decoder": f"{bank.decoder!r} of {plugins.get('decoder', bank.decoder.name)}",
     }
-    plan = _plan(bank, added=inputs)
+    plan = _plan(bank, added=inputs | ({"provenance": told} if told else {}))
     path = path_of(store, "store") if store is not None else None
     if path is not None and path.exists():
         return _finished(path, plan)
@@ -111,7 +115,7 @@ def add_exemplars(
             fit_error=np.concatenate([bank.fit_error, error]),
             measured=np.concatenate([bank.measured, measured]),
             mesh_facts=facts.common if dict(facts.common) == dict(bank.mesh_facts) else {},
-            provenance=_provenance(bank, plan, "added", exemplars.names, hashed(facts.hashes)),
+            provenance={**_provenance(bank, plan, "added", exemplars.names, hashed(facts.hashes)), **told},
             path=None,
         )
         if path is None or partial is None:
@@ -174,6 +178,19 @@ def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | No
 def _expect_bank(bank: object) -> None:
     if not isinstance(bank, Bank):
         raise InputError(f"bank: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
+
+
+def _told(provenance: Mapping[str, Scalar] | None) -> dict[str, Scalar]:
+    """Facts that a caller wants kept; names without a dot are the bank's own."""
+    told: object = {} if provenance is None else provenance
+    if not isinstance(told, Mapping) or not all(
+        isinstance(name, str) and "." in name and isinstance(value, str | int | float) for name, value in told.items()
+    ):
+        raise InputError(
+            f"provenance: expected texts, numbers and truth values by names with a dot, such as 'flow.solver', got "
+            f"{told!r:.200}"
+        )
+    return dict(told)
 
 
 def _in_order_of(bank: Bank, exemplars: Exemplars) -> Exemplars:

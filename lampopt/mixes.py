@@ -48,6 +48,8 @@ class Mixes:
         if len(targets) == 1:
             return []
         posed, first = self._alone(targets[0])
+        if posed.nonlinear:
+            return []  # each has terms of its own
         return [(posed, mix) for mix in solve_many(posed, targets, self._solver)] if first.status == "exact" else []
 
     def _alone(self, target: Target) -> tuple[Posed, Mix]:

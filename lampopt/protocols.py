@@ -179,6 +179,14 @@ class Pullback(Protocol):
 
 
 @runtime_checkable
+class Adjoint(Protocol):
+    """A decoder that carries gradients from the values of `evaluate` back to weights."""
+
+    def adjoint(self, shared: Shared, weights: Array, points: Array, gradient: Array) -> Array:
+        """(D,) from a gradient (M, C) by the values at points (M, 3) of one weight vector (D,)."""
+
+
+@runtime_checkable
 class Displace(Protocol):
     """A decoder that moves points near its template along with the design."""
 

@@ -84,6 +84,11 @@ class Posed:
     size: int
     limits: tuple[Column, ...] = ()
 
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the problem has terms."""
+        return bool(self.problem.objectives or self.problem.constraints or self.problem.equalities)
+
     def normalised(self, targets: Array) -> Array:
         """Targets (B, k) in the user's units → normalised rows."""
         rows = [row.normalised(targets[:, i]) for i, row in enumerate(self.rows)]
@@ -108,6 +113,9 @@ def pose(
     hard: Sequence[str] = (),
     reference: str | None = None,
     among: Sequence[int] | Array | None = None,
+    weights: Mapping[str, float] | None = None,
+    sums: Sequence[tuple[Column, float, float]] = (),
+    needed: Sequence[str] = (),
 ) -> Posed:
     """The problem that asks `targets` of `bank`.
 
@@ -123,6 +131,12 @@ def pose(
         The exemplar to stay near; None: the mean of all that take part.
     among
         The exemplars, by number, that may take part; None: all.
+    weights
+        What a missed target weighs; 1 by default.
+    sums
+        More columns to be kept between two values.
+    needed
+        Names that exemplars have to have a value for besides.
 
     Raises
     ------
@@ -132,30 +146,32 @@ def pose(
     ranges = dict(ranges or {})
     names = columns(bank)
     rows = tuple(_movable(names, name) for name in targets)
-    limits = tuple(_movable(names, name) for name in ranges)
-    known = [~np.isnan(c.values) for c in (*rows, *limits)]
+    limits = (*(_movable(names, name) for name in ranges), *(column for column, _, _ in sums))
+    ends = [*ranges.values(), *((low, high) for _, low, high in sums)]
+    known = [~np.isnan(c.values) for c in (*rows, *limits, *(_movable(names, name) for name in needed))]
     active = np.flatnonzero(np.all(known, axis=0) if known else np.ones(len(bank), bool))
     if among is not None:
         active = np.intersect1d(active, np.asarray(among, int))
     if not len(active):
         raise StudyError(f"no exemplar has all of {', '.join(c.name for c in (*rows, *limits))}")
-    for low, high in ranges.values():
+    for low, high in ends:
         if not low <= high:
             raise StudyError(f"ranges: expected low ≤ high, got {low:g} to {high:g}")
     asked = {c.name for c in (*rows, *limits)}
     asked |= {parameter for parameter, address in bank.measured_by.items() if address in asked}
     parameters = [names[q.name] for q in bank.space if names[q.name].spread > 0]
     # "This car, roof lower": nothing but the roof moves. A label cannot move if no parameter does.
-    alone = reference is not None and not asked & {q.name for q in bank.label_space}
+    alone = reference is not None and not (asked | {*needed}) & {q.name for q in bank.label_space}
     problem = Problem(
         names=tuple(c.name for c in rows),
         matrix=_matrix(rows, active),
         target=np.array([float(c.normalised(targets[c.name])) for c in rows]),
+        weight=np.array([(weights or {}).get(c.name, 1.0) for c in rows]),
         hard=np.array([c.name in hard for c in rows], bool),
         range_names=tuple(f"{c.name} (range)" for c in limits),
         range_matrix=_matrix(limits, active),
-        range_low=np.array([float(c.normalised(ranges[c.name][0])) for c in limits]),
-        range_high=np.array([float(c.normalised(ranges[c.name][1])) for c in limits]),
+        range_low=np.array([float(c.normalised(low)) for c, (low, _) in zip(limits, ends, strict=True)]),
+        range_high=np.array([float(c.normalised(high)) for c, (_, high) in zip(limits, ends, strict=True)]),
         centre=_centre(bank, active, reference),
         still=_matrix([c for c in parameters if c.name not in asked] if alone else [], active),
         directions=_directions(_matrix(parameters, active)),

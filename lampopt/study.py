@@ -6,45 +6,43 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from numbers import Integral, Real
+from math import inf, isinf
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
-from lampopt.choices import beside, measures_of, names_of, spec_of, table_of, written_measures
+from lampopt.choices import (
+    Value,
+    beside,
+    is_value,
+    measures_of,
+    models_of,
+    names_of,
+    native,
+    spec_of,
+    table_of,
+    value_list,
+    value_pair,
+    written_measures,
+    written_models,
+)
 from lampopt.errors import InputError, StudyError
+from lampopt.experiments import Experiments
+from lampopt.goals import Linear, Minimise, Objective, Reduce, linear_of, objective_of
 from lampopt.lamp import load_bank
 from lampopt.meshfile import FORMATS
-from lampopt.protocols import Measure
+from lampopt.protocols import Measure, Model
+from lampopt.quantities import Quantities
 from lampopt.reading import brief, content
-from lampopt.solve import column
+from lampopt.safeguards import NAMES as SAFE
 from lampopt.types import LEVELS, Bank, Needs, Spec
 from lampopt.units import number, said
 
-Value = float | str
 LARGEST = 2**22  # bytes of a study: 100,000 values of a sweep take three quarters of it
 # A key of a thousand parts costs tomllib a million steps, and gigabytes soon after; no study needs four.
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){16}""")
-
-
-@dataclass(frozen=True)
-class Reduce:
-    """A target below the reference's value: ``Reduce("drag", by=0.10)`` asks for 0.9 of it."""
-
-    name: str
-    by: float
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise StudyError(f"Reduce: expected the name of a label, got {said(self.name)}")
-        by = _native(self.by)
-        if isinstance(by, bool) or not isinstance(by, int | float) or not -10 < by < 1:
-            raise StudyError(
-                f"Reduce({self.name!r}): expected `by` as a fraction below 1, such as 0.10, got {said(self.by)}"
-            )
-        object.__setattr__(self, "by", float(by))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +63,26 @@ class Study:
         Names to be kept between two values.
     hard
         Targets that must be met exactly, whatever it costs the others.
+    weights
+        What a missed target weighs, by name; 1 by default.
     objective
-        Reduce(...) of a label; needs a reference.
+        Reduce(...), which needs a reference, Minimise(...) or Maximise(...) of a label, a model's or a measure's value.
+    linear
+        Weighted sums kept within limits, by a name of their own: Linear(...).
+    alpha
+        Lowest and highest coefficient; (0, 1) stays between the exemplars.
+    ridge
+        Weight of the distance from the reference, or from the mean: λ (paper, appendix P). None: the solver's.
+    norm
+        In which that distance is taken: 2, or 1 for few exemplars that change.
+    safe
+        Checks that the solver has to keep within their limits: "alpha", "mismatch", "jacobian".
+    models
+        Models whose values can be asked for as `name.value`: their files, or objects, by name.
+    measured
+        Which measured value tells an asked one, as `measure.value` by name, besides what the bank declares.
+    turns
+        How often what was made is measured and the ask corrected, so that the measured value hits the target.
     solver
         Name or Spec.
     measures
@@ -81,7 +97,9 @@ class Study:
     resolution
         Cells along the decoder's box.
     sweep
-        Values by name for `lampopt.sweep`.
+        Values by name for `lampopt.sweep`: every combination.
+    experiments
+        Or a plan of targets for `lampopt.sweep`: `Experiments(ranges, count)`.
     format
         Of the meshes written: stl, obj, ply, glb.
     requires
@@ -96,7 +114,16 @@ class Study:
     reference: str | None = None
     ranges: Mapping[str, tuple[Value, Value]] = field(default_factory=dict)
     hard: tuple[str, ...] = ()
-    objective: Reduce | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    objective: Objective | None = None
+    linear: Mapping[str, Linear] = field(default_factory=dict)
+    alpha: tuple[float, float] | None = None
+    ridge: float | None = None
+    norm: int = 2
+    safe: tuple[str, ...] = ()
+    models: Mapping[str, str | Path | Model] = field(default_factory=dict)
+    measured: Mapping[str, str] = field(default_factory=dict)
+    turns: int = 0
     solver: str | Spec = "kkt"
     measures: Sequence[str] | Mapping[str, str | Spec | Measure] = ()
     checks: tuple[str, ...] = ()
@@ -104,6 +131,7 @@ class Study:
     level: Needs = "mesh"
     resolution: int = 128
     sweep: Mapping[str, Sequence[Value]] = field(default_factory=dict)
+    experiments: Experiments | None = None
     format: str = "stl"
     requires: tuple[str, ...] = ()
     seed: int = 0
@@ -113,30 +141,32 @@ class Study:
             raise StudyError(f"bank: expected a Bank or the path of a .lamp file, got {said(self.bank)}")
         if not isinstance(self.solver, str | Spec):
             raise StudyError(f"solver: expected a name or a Spec, got {said(self.solver)}")
-        if not isinstance(self.objective, Reduce | None):
-            raise StudyError(f"objective: expected Reduce(name, by=fraction), got {said(self.objective)}")
-        for name in ("keep", "hard", "checks", "requires"):
+        if not isinstance(self.objective, Objective | None):
+            raise StudyError(f"objective: expected Reduce, Minimise or Maximise(name, ...), got {said(self.objective)}")
+        for name in ("keep", "hard", "safe", "checks", "requires"):
             _assign(self, name, names_of(getattr(self, name), name))
         _assign(self, "measures", measures_of(self.measures))
         if not isinstance(self.reference, str | None):
             raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
-        for name in ("targets", "limits"):
-            table = {key: _native(value) for key, value in table_of(getattr(self, name), name).items()}
+        for name in ("targets", "weights", "limits"):
+            table = {key: native(value) for key, value in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(table))
         for key, target in self.targets.items():
-            if not _is_value(target):
+            if not is_value(target):
                 raise StudyError(
                     f"targets: {key}: expected a finite number or text such as '1420 mm', got {said(target)}"
                 )
-        for name in ("resolution", "seed"):
-            _assign(self, name, _native(getattr(self, name)))
-        for name in ("ranges", "sweep"):
-            value = {key: _values(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
+        for name in ("resolution", "seed", "ridge", "norm", "turns"):
+            _assign(self, name, native(getattr(self, name)))
+        _checked(self)
+        for name, read in (("ranges", value_pair), ("sweep", value_list)):
+            value = {key: read(v, f"{name}: {key}") for key, v in table_of(getattr(self, name), name).items()}
             _assign(self, name, MappingProxyType(value))
+        if not isinstance(self.experiments, Experiments | None):
+            raise StudyError(f"experiments: expected Experiments(ranges, count), got {said(self.experiments)}")
+        if self.sweep and self.experiments is not None:
+            raise StudyError("sweep and experiments: expected one of them, got both: leave one out")
         _assign(self, "solver", Spec.of(self.solver))
-        for key, pair in self.ranges.items():
-            if len(pair) != 2:
-                raise StudyError(f"ranges: {key}: expected a low and a high value, got {len(pair)} values")
         if self.level not in LEVELS:
             raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {said(self.level)}")
         if self.format not in FORMATS:
@@ -152,11 +182,11 @@ class Study:
         for key, limit in self.limits.items():
             if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit <= sys.float_info.max:
                 raise StudyError(f"limits: {key}: expected a finite number of at least 0, got {said(limit)}")
-        asked = [*self.targets, *self.keep, *([self.objective.name] if self.objective else [])]
+        asked = self.names
         for name, times in Counter(asked).items():
             if times > 1 or name in self.ranges:
                 raise StudyError(f"{name!r} is asked for twice: name it in one of targets, keep, ranges and objective")
-        if self.objective is not None and self.reference is None:
+        if isinstance(self.objective, Reduce) and self.reference is None:
             raise StudyError(f"objective: {self.objective} needs a reference; name an exemplar")
         if unknown := sorted(set(self.hard) - set(asked)):
             raise StudyError(f"hard: {brief(unknown)} are not asked for; asked for are {brief(asked)}")
@@ -165,27 +195,41 @@ class Study:
         """The bank, loaded if the study names a file."""
         return self.bank if isinstance(self.bank, Bank) else load_bank(self.bank)
 
-    def asked(self, bank: Bank) -> dict[str, float]:
+    @property
+    def names(self) -> list[str]:
+        """What is asked to have a value: targets, then keeps, then the objective that is one."""
+        reduced = [self.objective.name] if isinstance(self.objective, Reduce) else []
+        return [*self.targets, *self.keep, *reduced]
+
+    def asked(self, known: Bank | Quantities) -> dict[str, float]:
         """Every wanted value by name, in the bank's units: targets, then keeps, then the objective."""
-        wanted = {name: self.value(bank, name, value) for name, value in self.targets.items()}
+        known = _quantities(known)
+        wanted = {name: self.value(known, name, value) for name, value in self.targets.items()}
         for name in self.keep:
-            wanted[name] = _at_reference(bank, name, self.reference)
-        if self.objective is not None:
-            wanted[self.objective.name] = (1 - self.objective.by) * _at_reference(
-                bank, self.objective.name, self.reference
-            )
+            wanted[name] = known.at(name, self.reference, self._address(name))
+        if isinstance(self.objective, Reduce):
+            name = self.objective.name
+            wanted[name] = (1 - self.objective.by) * known.at(name, self.reference, self._address(name))
         return wanted
 
-    def bounds(self, bank: Bank) -> dict[str, tuple[float, float]]:
+    def _address(self, name: str) -> str | None:
+        """Where the reference's value is measured: on the reference as the bank makes it, if designs are measured."""
+        return self.measured.get(name) if self.turns else None
+
+    def bounds(self, known: Bank | Quantities) -> dict[str, tuple[float, float]]:
         """The ranges in the bank's units."""
+        known = _quantities(known)
         return {
-            name: (self.value(bank, name, low), self.value(bank, name, high))
+            name: (self._end(known, name, low), self._end(known, name, high))
             for name, (low, high) in self.ranges.items()
         }
 
-    def value(self, bank: Bank, name: str, value: Value) -> float:
+    def _end(self, known: Quantities, name: str, value: Value) -> float:
+        return value if isinstance(value, float) and isinf(value) else self.value(known, name, value)
+
+    def value(self, known: Bank | Quantities, name: str, value: Value) -> float:
         """One value of `name` in the bank's unit."""
-        return number(value, column(bank, name).unit, name)
+        return number(value, _quantities(known)[name].unit, name)
 
     def to_be_measured(self) -> Mapping[str, Spec | Measure]:
         """The measures by the name under which their values are reported."""
@@ -209,18 +253,24 @@ class Study:
         document: dict[str, Any] = {"bank": str(path)}
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name in ("bank", "objective") or value is None or value == () or value == {}:
+            if item.name == "bank" or value is None or value == () or value == {}:
                 continue
-            if isinstance(value, Spec):
+            if isinstance(value, Reduce | Minimise):
+                document[item.name] = value.written()
+            elif item.name == "linear":
+                document[item.name] = {name: one.written() for name, one in value.items()}
+            elif item.name == "models":
+                document[item.name] = written_models(value)
+            elif isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
+            elif isinstance(value, Experiments):
+                document[item.name] = value.written()
             elif item.name == "measures":
                 document[item.name] = written_measures(value)
             elif isinstance(value, Mapping):
-                document[item.name] = {k: list(v) if isinstance(v, tuple) else _native(v) for k, v in value.items()}
+                document[item.name] = {k: list(v) if isinstance(v, tuple) else native(v) for k, v in value.items()}
             else:
                 document[item.name] = list(value) if isinstance(value, tuple) else value
-        if self.objective is not None:
-            document["objective"] = {"reduce": self.objective.name, "by": self.objective.by}
         text = tomli_w.dumps(document)
         if (length := len(text.encode(errors="surrogatepass"))) > LARGEST:
             raise StudyError(
@@ -256,13 +306,17 @@ class Study:
         document["bank"] = (folder or Path()) / document["bank"]
         if isinstance(solver := document.get("solver"), dict):
             document["solver"] = spec_of(solver, "solver")
+        if "experiments" in document:
+            document["experiments"] = Experiments.read(document["experiments"])
         if isinstance(measures := document.get("measures"), dict):
             document["measures"] = {
                 name: beside(spec_of(value, f"measures: {name}"), folder) if isinstance(value, dict) else value
                 for name, value in measures.items()
             }
+        if isinstance(models := document.get("models"), dict):
+            document["models"] = {name: str((folder or Path()) / str(file)) for name, file in models.items()}
         if "objective" in document:
-            document["objective"] = _objective(document["objective"])
+            document["objective"] = objective_of(document["objective"])
         return cls(**document)
 
     @classmethod
@@ -288,45 +342,35 @@ def _assign(study: Study, name: str, value: object) -> None:
     object.__setattr__(study, name, value)
 
 
-def _values(value: object, what: str) -> tuple[Value, ...]:
-    if not isinstance(value, Iterable) or isinstance(value, str | Mapping):
-        raise StudyError(f"{what}: expected a list of values, got {said(value)}")
-    found = tuple(v if isinstance(v, str) else _native(v) for v in value)
-    if not found:
-        raise StudyError(f"{what}: expected a list of values, got none")
-    if wrong := [v for v in found if not _is_value(v)]:
-        raise StudyError(f"{what}: expected numbers or text such as '1420 mm', got {said(wrong[0])}")
-    return found
+def _quantities(known: Bank | Quantities) -> Quantities:
+    return known if isinstance(known, Quantities) else Quantities(known)
 
 
-def _is_value(value: object) -> bool:
-    return isinstance(value, str | int | float) and not isinstance(value, bool)
-
-
-def _native(value: object) -> Any:
-    """Numpy's numbers as Python's; everything else as it is."""
-    if isinstance(value, bool | int | float):
-        return value
-    if isinstance(value, Integral):
-        return int(value)
-    return float(value) if isinstance(value, Real) else value
-
-
-def _objective(table: object) -> Reduce:
-    if not isinstance(table, Mapping) or set(table) != {"reduce", "by"} or not isinstance(table["reduce"], str):
-        raise StudyError(f"objective: expected {{ reduce = NAME, by = FRACTION }}, got {said(table)}")
-    return Reduce(table["reduce"], table["by"])
-
-
-def _at_reference(bank: Bank, name: str, reference: str | None) -> float:
-    found = column(bank, name)
-    if reference is None:
-        import numpy as np
-
-        return float(np.nanmean(found.values))
-    if reference not in bank.names:
-        raise StudyError(f"reference {reference!r}: no exemplar of this bank; there are {', '.join(bank.names)}")
-    value = float(found.values[bank.names.index(reference)])
-    if value != value:
-        raise StudyError(f"{name!r}: the reference {reference!r} has no value for it; choose another")
-    return value
+def _checked(study: Study) -> None:
+    """What is asked of the solver besides targets and ranges, and of those that measure."""
+    for name, weight in study.weights.items():
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 < weight < inf:
+            raise StudyError(f"weights: {name}: expected a positive number, got {said(weight)}")
+    linear = {name: linear_of(value, name) for name, value in table_of(study.linear, "linear").items()}
+    _assign(study, "linear", MappingProxyType(linear))
+    if study.alpha is not None:
+        ends = [native(value) for value in study.alpha] if isinstance(study.alpha, Sequence) else []
+        if len(ends) != 2 or not all(isinstance(v, int | float) for v in ends) or not ends[0] < ends[1]:
+            raise StudyError(f"alpha: expected the lowest and the highest coefficient, got {said(study.alpha)}")
+        _assign(study, "alpha", (float(ends[0]), float(ends[1])))
+    ridge: object = study.ridge
+    if ridge is not None and (isinstance(ridge, bool) or not isinstance(ridge, int | float) or not 0 <= ridge < inf):
+        raise StudyError(f"ridge: expected a number of at least 0, got {said(ridge)}")
+    if study.norm not in (1, 2):
+        raise StudyError(f"norm: expected 1 or 2, got {said(study.norm)}")
+    if isinstance(study.turns, bool) or not isinstance(study.turns, int) or not 0 <= study.turns <= 100:
+        raise StudyError(f"turns: expected a whole number from 0 to 100, got {said(study.turns)}")
+    if unknown := sorted(set(study.safe) - set(SAFE)):
+        raise StudyError(f"safe: {brief(unknown)} cannot be kept by a solver; what can are {', '.join(SAFE)}")
+    _assign(study, "models", models_of(study.models))
+    measured = table_of(study.measured, "measured")
+    if wrong := [name for name, address in measured.items() if not isinstance(address, str)]:
+        raise StudyError(
+            f"measured: {wrong[0]}: expected an address, such as 'extents.length', got {said(measured[wrong[0]])}"
+        )
+    _assign(study, "measured", MappingProxyType(dict(measured)))

@@ -19,17 +19,25 @@ import numpy as np
 
 from lampopt import lamp
 from lampopt.bank import decoder_of
+from lampopt.chain import Chain
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
-from lampopt.choices import GIVEN
+from lampopt.choices import GIVEN, Value
+from lampopt.closing import Closed, closed, read_checks
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
+from lampopt.evaluations import Memory
+from lampopt.fitted import load_model
+from lampopt.goals import Reduce
 from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
-from lampopt.protocols import Checker, Decoder, Measure, Solver, State
-from lampopt.solve import Posed, pose
-from lampopt.study import Study, Value
+from lampopt.protocols import Checker, Decoder, Measure, Model, Solver, State
+from lampopt.quantities import Quantities
+from lampopt.safeguards import judged_by
+from lampopt.solve import Posed, solve
+from lampopt.study import Study
 from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
+from lampopt.wishes import Wishes, goal_checks
 from lampopt.written import MeshFile
 
 if TYPE_CHECKING:
@@ -84,6 +92,7 @@ class Task:
     limits: Limits
     checkers: Mapping[str, Checker]
     measures: Mapping[str, Measure]
+    models: Mapping[str, Model]
     plugins: Plugins
 
     @classmethod
@@ -104,45 +113,82 @@ class Task:
             if made.needs not in LEVELS:
                 raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
         measures = {name: _measure(name, choice, plugins) for name, choice in study.to_be_measured().items()}
+        models = {name: _model(name, choice, plugins) for name, choice in study.models.items()}
         limits = Limits.of(bank, study.limits)
-        return cls(study, bank, decoder_of(bank, plugins), solver, limits, checkers, measures, plugins)
+        return cls(study, bank, decoder_of(bank, plugins), solver, limits, checkers, measures, models, plugins)
 
     def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
         """Every wanted value by name [the bank's units], with `change` among the targets."""
         targets = {**self.study.targets, **change}
-        return replace(self.study, targets=targets, sweep={}).asked(self.bank)
+        return replace(self.study, targets=targets, sweep={}, experiments=None).asked(self.wishes.quantities)
 
-    def posed(self, target: Mapping[str, float]) -> Posed:
-        """The problem that one target poses."""
-        study = self.study
-        return pose(self.bank, target, ranges=study.bounds(self.bank), hard=study.hard, reference=study.reference)
+    @cached_property
+    def wishes(self) -> Wishes:
+        """What the study asks, with all that it may name."""
+        chain = Chain(self.bank, self.decoder, self.study.resolution)
+        quantities = Quantities(self.bank, self.models, self.measures, chain, self.plugins)
+        return Wishes(self.study, self.bank, self.decoder, self.limits, quantities)
+
+    def posed(self, target: Mapping[str, float], memory: Memory | None = None) -> Posed:
+        """The problem that one target poses; `memory` knows what a search for it has evaluated."""
+        return self.wishes.posed(target, memory)
 
     @cached_property
     def designer(self) -> Designer:
         """What makes this task's designs."""
         return Designer(self.bank, lambda: self.decoder, self.study.resolution)
 
-    def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
-        """One design through mix, decode and check, as far as the study's level."""
+    @property
+    def solves_long(self) -> bool:
+        """Whether a solve makes meshes or sweeps probes, so that it is worth a worker."""
+        asked = [*self.study.names, *self.study.ranges, *([self.study.objective.name] if self.study.objective else [])]
+        measured = any(self.wishes.quantities[name].measure is not None for name in asked)
+        return bool(self.study.turns or "mismatch" in self.study.safe or measured)
+
+    def solved(self, target: Mapping[str, float], memory: Memory | None = None) -> tuple[Posed, Mix]:
+        """The problem of one target, and its mix."""
+        posed = self.posed(target, memory)
+        return posed, solve(posed, self.solver)
+
+    def made(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
+        """One design: its ask corrected as often as the study says, then judged."""
+        if not self.study.turns:
+            return self.judge(target, posed, mix)
+        found = closed(self.study, self.wishes.quantities, target, self.solved, (posed, mix))
+        return self.judge(target, found.posed, found.mix, found)
+
+    def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix, turned: Closed | None = None) -> Result:
+        """One design through mix, decode and check, as far as the study's level; `turned` tells how it came about."""
         made = self.designer(target, mix)
         checks = alpha_checks(posed, mix, self.limits)
         for level in LEVELS[: LEVELS.index(self.study.level) + 1]:
+            if level == "alpha":
+                checks += goal_checks(self.wishes, target, mix.alpha, self.limits, level)
             if level == "field":
-                checks += field_checks(self.bank, self.decoder, made, self.limits)
+                judged = judged_by(self.bank, self.study.safe)
+                checks += field_checks(self.bank, self.decoder, made, self.limits, judged)
             if level == "mesh":
                 measured = ", ".join(self.bank.measured_by.values()) or "no measure"
                 with _unaltered(made.mesh, f"one of {measured}, or the decoder,"):
                     resolution = self.study.resolution
-                    checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins)
+                    wanted = {} if turned is None else turned.expected
+                    checks += mesh_checks(self.bank, self.decoder, made, resolution, self.limits, self.plugins, wanted)
                 if made.mesh is None:
                     break  # nothing is left to be measured or judged
+                checks += goal_checks(self.wishes, target, mix.alpha, self.limits, level)
+                if turned is not None:
+                    checks += read_checks(self.study, self.wishes.quantities, turned, self.limits)
                 for name, measure in self.measures.items():
                     with _unaltered(made.mesh, f"measure {name!r}"):
                         checks += measure_checks(self.bank, made.mesh, {name: measure})
             for name, checker in self.checkers.items():
                 with _unaltered(made.__dict__.get("mesh"), f"check {name!r}"):
                     checks += stranger_checks(self.bank, made, {name: checker}, level)
-        return self.result(made, checks)
+        found = self.result(made, checks)
+        if turned is None:
+            return found
+        told = {f"asked.{name}": value for name, value in turned.asked.items() if value != target.get(name)}
+        return replace(found, provenance={**found.provenance, "turns": turned.turns, **told})
 
     def result(self, made: Design, checks: Sequence[Check]) -> Result:
         """A design with the evidence about it. Raises PluginError where two checks have one name."""
@@ -168,8 +214,9 @@ class Task:
                 "limits": [dict(study.limits), dict(self.bank.limits)],
                 "solver": repr(study.solver),
                 "reference": study.reference,
-                "ranges": study.bounds(self.bank),
+                "ranges": study.bounds(self.wishes.quantities),
                 "hard": study.hard,
+                **self._more,
                 "measures": {
                     name: _told(choice, self.measures[name], self.plugins)
                     for name, choice in study.to_be_measured().items()
@@ -183,6 +230,24 @@ class Task:
             }
         )
 
+    @property
+    def _more(self) -> dict[str, object]:
+        """What a study may ask besides, where it does: the keys of others stay what they were."""
+        study = self.study
+        asked: dict[str, object] = {
+            "weights": dict(study.weights),
+            "objective": None if isinstance(study.objective, Reduce | None) else study.objective.written(),
+            "linear": {name: one.written() for name, one in study.linear.items()},
+            "alpha": study.alpha,
+            "ridge": study.ridge,
+            "norm": None if study.norm == 2 else study.norm,
+            "safe": study.safe,
+            "models": {name: _learned(model) for name, model in self.models.items()},
+            "measured": dict(study.measured),
+            "turns": study.turns,
+        }
+        return {name: value for name, value in asked.items() if value}
+
     def _drift(self, address: str) -> str:
         """What tells the measure behind `address` from others."""
         name, measure, _ = resolve_address(address, self.plugins)
@@ -190,11 +255,14 @@ class Task:
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
-        """Where the results come from: the bank's own, versions, solver and decoder."""
+        """Where the results come from: the bank's own, versions, solver and decoder.
+
+        What the bank was told beside its own (names with a dot) stays there: its `plan` stands for it.
+        """
         solver = self.plugins.get("solver", Spec.of(self.study.solver).name)
         decoder = self.plugins.get("decoder", self.bank.decoder.name)
         return {
-            **{f"bank.{name}": value for name, value in self.bank.provenance.items()},
+            **{f"bank.{name}": value for name, value in self.bank.provenance.items() if "." not in name},
             "lampopt": version("lampopt"),
             "solver": f"{self.study.solver} ({solver.distribution} {solver.version})",
             "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",
@@ -262,7 +330,18 @@ def _told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> str | l
     return [who, *more] if more else who
 
 
-def _learned(measure: Measure) -> str:
+def _model(name: str, choice: str | Path | Model, plugins: Plugins) -> Model:
+    if not isinstance(choice, str | Path):
+        return choice
+    if str(choice).startswith("<"):
+        raise StudyError(
+            f"models: {name}: was given as a Python object, {choice}, which a file cannot hold: give it again, or "
+            "store it with lampopt.fit_model(..., store=FILE)"
+        )
+    return load_model(choice, plugins=plugins)
+
+
+def _learned(measure: Measure | Model) -> str:
     """A hash of all that a learned measure holds; of one that cannot tell, no other is ever taken for it."""
     if not isinstance(measure, State):
         return uuid.uuid4().hex

@@ -5,19 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import platform
 import signal
 import threading
 import time
+import uuid
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -25,14 +19,17 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lampopt.errors import LampoptError, PluginError, StudyError, SweepError
+from lampopt.crew import Crew, clusters, lost
+from lampopt.errors import BankError, LampoptError, PluginError, StudyError, SweepError
+from lampopt.evaluations import Memory
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
 from lampopt.reading import brief, why
 from lampopt.record import RunFolder
+from lampopt.solve import solve
 from lampopt.study import Study
 from lampopt.task import Task
-from lampopt.types import Check, Mix, Result, Spec
+from lampopt.types import Check, Mix, Result, Scalar, Spec
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -40,6 +37,7 @@ if TYPE_CHECKING:
 Target = Mapping[str, float]
 PATIENCE = 1.0  # s between two looks at work that may have been cancelled
 log = logging.getLogger("lampopt")
+OPENING = threading.Lock()
 OURS = threading.Event()  # set in the processes that `processes` starts, and nowhere else
 
 
@@ -49,6 +47,7 @@ def judged(
     place: RunFolder | None = None,
     executor: Executor | None = None,
     file: Path | None = None,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
 
@@ -64,6 +63,8 @@ def judged(
         Who makes them instead.
     file
         The bank's, for other processes.
+    ahead
+        How many designs may be under way or done and not taken; by default what suits the executor.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def judged(
         If a worker is lost.
     """
     if executor is not None:
-        yield from _Ahead(task, asked, place, executor, file).results()
+        yield from _Ahead(task, asked, place, executor, file, ahead).results()
         return
     mixes = Mixes(task.posed, task.solver, asked)
     for number, target in enumerate(asked):
@@ -79,7 +80,9 @@ def judged(
         result = None if place is None else place.read(key, task.bank, task.designer)
         if result is None:
             began = time.perf_counter()
-            result = task.judge(target, *mixes.at(number))
+            memory = None if place is None else Memory.at(place.folder, key)
+            found = task.solved(target, memory) if task.solves_long else mixes.at(number)
+            result = task.made(target, *found)
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
 
@@ -103,7 +106,9 @@ def _keep(task: Task, place: RunFolder | None, key: str, result: Result, seconds
 class _Answer:
     """What a worker sends back; the rest of a design follows from its mix."""
 
+    mix: Mix
     checks: tuple[Check, ...]
+    provenance: Mapping[str, Scalar]
     made: bool  # whether the mesh was asked for at all
     mesh: Trimesh | None
     seconds: float
@@ -113,17 +118,23 @@ class _Ahead:
     """A few designs more than there are workers are under way; each is recorded as soon as it is there."""
 
     def __init__(
-        self, task: Task, asked: Sequence[Target], place: RunFolder | None, executor: Executor, file: Path | None
+        self,
+        task: Task,
+        asked: Sequence[Target],
+        place: RunFolder | None,
+        executor: Executor,
+        file: Path | None,
+        ahead: int | None,
     ) -> None:
         self._task, self._asked, self._place, self._executor = task, asked, place, executor
         self._mixes = Mixes(task.posed, task.solver, asked)
         self._keys = [task.key(target) for target in asked] if place is not None else []
-        workers = getattr(executor, "_max_workers", 1)  # the standard library's have it
-        self._most = 2 * max(os.cpu_count() or 1, workers if isinstance(workers, int) else 1)
+        self._crew, self._ahead = Crew(executor), ahead
         # Threads share what is open; other processes open it for themselves, once.
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
-        self._sent, self._next = dict[int, tuple[Future[_Answer], Mix]](), 0
+        self._sent, self._next = dict[int, Future[_Answer]](), 0
         self._done = dict[int, Result]()
+        self._taken = False  # whether the executor has taken any work
 
     def results(self) -> Generator[Result, None, None]:
         """In order."""
@@ -133,65 +144,81 @@ class _Ahead:
                 while number in self._sent:
                     self._take()
                 yield self._done.pop(number) if number in self._done else self._read(number)
-        except (BrokenExecutor, CancelledError) as error:
+        except Exception as error:
+            if not lost(error):
+                raise
             self._stop()
             left = "" if self._place is None else f": {state(self._task, self._asked, self._place)}"
-            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{left}") from error
+            said = f" ({why(error)})" if str(error) else ""
+            raise SweepError(f"a worker was lost: killed, out of memory, or shut down{said}{left}") from error
         finally:
             self._stop()
 
     def _send(self) -> None:
         """Keep the workers busy; what is recorded, or under way for the same target, is not made again."""
-        while self._next < len(self._asked) and len(self._sent) + len(self._done) < self._most:
+        most = self._ahead or self._crew.ahead
+        while self._next < len(self._asked) and len(self._sent) + len(self._done) < most:
             number, target = self._next, self._asked[self._next]
             if self._place is None or not (
                 self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
             ):
-                _, mix = self._mixes.at(number)
-                self._sent[number] = (self._submit(target, mix), mix)
+                # What takes long to solve is solved there too; the rest here, many together.
+                mix = None if self._task.solves_long else self._mixes.at(number)[1]
+                self._sent[number] = self._submit(target, mix)
             self._next += 1
 
-    def _submit(self, target: Target, mix: Mix) -> Future[_Answer]:
+    def _submit(self, target: Target, mix: Mix | None) -> Future[_Answer]:
         try:
             if self._setup is None:
                 future: object = self._executor.submit(_judge, self._task, target, mix)
             else:
-                future = self._executor.submit(_judge_there, self._setup, dict(target), mix)
-        except (BrokenExecutor, LampoptError):
-            raise
+                # A name of its own: who keeps what equal calls have given, as Dask does, is to make it anew.
+                call = uuid.uuid4().hex
+                future = self._executor.submit(_judge_there, self._setup, dict(target), mix, call)
         except Exception as error:  # whatever a stranger's executor raises
+            if lost(error) or isinstance(error, LampoptError):
+                raise
+            if self._taken:
+                raise BrokenExecutor(f"it takes no more work: {why(error)}") from error
             raise StudyError(f"executor: expected one that takes work, got one that does not: {why(error)}") from error
         if not isinstance(future, Future):
             raise StudyError(
                 f"executor: expected one whose submit returns a concurrent.futures.Future, got {brief(repr(future))}"
             )
+        self._taken = True
         return future
 
     def _take(self) -> None:
         """Wait for a design, and record all that are there, those beside one that failed too."""
-        futures = [future for future, _ in self._sent.values()]
+        futures = [*self._sent.values()]
         while not any(future.done() for future in futures):  # one that is cancelled in its queue wakes nobody
             wait(futures, PATIENCE, FIRST_COMPLETED)
+            self._crew.expect()
         self._keep_finished()
-        for future, _ in self._sent.values():
+        for number, future in self._sent.items():
             if future.done():
-                future.result()  # raises: the others are recorded
+                try:
+                    future.result()  # raises: the others are recorded
+                except Exception as error:
+                    if clusters(error):  # it gives up this one design; a pool of processes any that it had
+                        raise BrokenExecutor(f"design {dict(self._asked[number])}: {why(error)}") from error
+                    raise
 
     def _keep_finished(self) -> None:
-        for number, (future, mix) in list(self._sent.items()):
+        for number, future in list(self._sent.items()):
             if future.done() and not future.cancelled() and future.exception() is None:
                 del self._sent[number]
                 answer: object = future.result()
                 if not isinstance(answer, _Answer):
                     raise StudyError(f"executor: expected what its work returned, got {brief(repr(answer))}")
-                result = _result(self._task, self._asked[number], mix, answer)
+                result = _result(self._task, self._asked[number], answer)
                 key = self._keys[number] if self._place is not None else ""
                 self._done[number] = _keep(self._task, self._place, key, result, answer.seconds)
 
     def _stop(self) -> None:
         """Ask for no more, and keep what has been finished meanwhile."""
         try:
-            for future, _ in self._sent.values():
+            for future in self._sent.values():
                 future.cancel()
             self._keep_finished()
         except Exception as error:  # noqa: BLE001  # what stopped it counts, the same perhaps
@@ -205,24 +232,35 @@ class _Ahead:
         return result
 
 
-def _result(task: Task, target: Target, mix: Mix, answer: _Answer) -> Result:
-    design = task.designer(target, mix)
+def _result(task: Task, target: Target, answer: _Answer) -> Result:
+    design = task.designer(target, answer.mix)
     if answer.made:
         design = replace(design, make_mesh=lambda: answer.mesh)
         _ = design.mesh  # it counts as made
-    return task.result(design, answer.checks)
+    found = task.result(design, answer.checks)
+    return replace(found, provenance={**found.provenance, **answer.provenance})
 
 
-def _judge(task: Task, target: Target, mix: Mix) -> _Answer:
+def _judge(task: Task, target: Target, mix: Mix | None) -> _Answer:
     began = time.perf_counter()
-    result = task.judge(target, task.posed(target), mix)
+    posed = task.posed(target)
+    result = task.made(target, posed, solve(posed, task.solver) if mix is None else mix)
     known = result.design.__dict__
-    return _Answer(result.checks, "mesh" in known, known.get("mesh"), time.perf_counter() - began)
+    return _Answer(
+        result.design.mix,
+        result.checks,
+        result.provenance,
+        "mesh" in known,
+        known.get("mesh"),
+        time.perf_counter() - began,
+    )
 
 
-def _judge_there(setup: bytes, target: Target, mix: Mix) -> _Answer:
+def _judge_there(setup: bytes, target: Target, mix: Mix | None, call: str) -> _Answer:
     with _interruptible():
-        return _judge(_unpacked(setup), target, mix)
+        with OPENING:  # threads of one process would open it once each
+            task = _unpacked(setup)
+        return _judge(task, target, mix)
 
 
 def processes(count: int) -> Executor:
@@ -272,12 +310,18 @@ def _packed(task: Task, file: Path | None) -> bytes:
     extra = [(name, manager.get_plugin(name)) for name, (owner, _) in owners.items() if owner == "not installed"]
     study = replace(task.study, bank=str(file.resolve())).to_toml()
     given = {name: choice for name, choice in task.study.to_be_measured().items() if not isinstance(choice, Spec)}
+    models = {name: choice for name, choice in task.study.models.items() if not isinstance(choice, str | Path)}
+    if main := [name for name, choice in (*given.items(), *models.items()) if type(choice).__module__ == "__main__"]:
+        raise StudyError(
+            f"executor: the measures or models {', '.join(main)} cannot be sent to other processes, which have "
+            "another main program: define them in a module, or use a ThreadPoolExecutor"
+        )
     try:
-        objects = pickle.dumps(given)
+        objects = pickle.dumps((given, models))
     except Exception as error:  # whatever a stranger's __reduce__ raises
         raise StudyError(
-            f"executor: the measures {', '.join(given)} cannot be sent to other processes ({why(error)}): define them "
-            "in a module, or use a ThreadPoolExecutor"
+            f"executor: the measures or models {', '.join([*given, *models])} cannot be sent to other processes "
+            f"({why(error)}): define them in a module, or use a ThreadPoolExecutor"
         ) from error
     try:
         return pickle.dumps((study, objects, task.identity, list(owners), extra))
@@ -290,11 +334,24 @@ def _packed(task: Task, file: Path | None) -> bytes:
 
 @lru_cache(maxsize=1)  # opening the bank reads all of it: once a worker, not once a design
 def _unpacked(setup: bytes) -> Task:
-    text, objects, identity, names, extra = pickle.loads(setup)  # by the process that started this one
+    try:
+        text, objects, identity, names, extra = pickle.loads(setup)  # by the process that this one works for
+        measures, models = pickle.loads(objects)
+    except Exception as error:  # whatever a stranger's module raises
+        raise PluginError(
+            f"a worker, on {platform.node()}, cannot import a plugin or measure that was sent to it ({why(error)}): "
+            "define it in a module that is installed there too"
+        ) from error
     installed = {point.name for point in entry_points(group="lampopt")}
     study = Study.from_toml(text)
-    study = replace(study, measures={**study.to_be_measured(), **pickle.loads(objects)})
-    task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
+    study = replace(study, measures={**study.to_be_measured(), **measures}, models={**study.models, **models})
+    try:
+        task = Task.of(study, Plugins.load(extra, block=installed - set(names)))
+    except BankError as error:
+        raise BankError(
+            f"a worker, on {platform.node()}, cannot read the bank: {error}; workers read its file: put it where all "
+            "of them see it by the same path"
+        ) from error
     if task.identity != identity:
         raise PluginError(
             "a worker would make other designs: its bank, plugins or versions differ from those of the process that "

@@ -243,6 +243,47 @@ class Remembers(GridSDF):
         return super().evaluate(shared, weights, points) + getattr(self, "offset", 0.1)
 
 
+@dataclass(frozen=True, repr=False)
+class Sloped(GridSDF):
+    """Keeps every promise: the grid with both of its gradients."""
+
+    def corners(self, points):
+        """(M, 8) numbers of a cell's nodes, their parts in the value (M, 8), and these by the place (M, 8, 3)."""
+        at = (np.asarray(points) + 1) * (self.size - 1) / 2
+        cell = np.clip(np.floor(at), 0, self.size - 2).astype(int)
+        nodes, parts, slopes = [], [], []
+        for corner in np.ndindex(2, 2, 2):
+            nodes.append(np.ravel_multi_index(tuple((cell + corner).T), (self.size,) * 3))
+            one = np.where(corner, at - cell, 1 - at + cell)
+            parts.append(one.prod(1))
+            sign = np.where(corner, 1, -1) * (self.size - 1) / 2
+            slopes.append(sign * np.stack([one[:, 1] * one[:, 2], one[:, 0] * one[:, 2], one[:, 0] * one[:, 1]], 1))
+        return np.stack(nodes, 1), np.stack(parts, 1), np.stack(slopes, 1)
+
+    def adjoint(self, shared, weights, points, gradient):
+        nodes, parts, _ = self.corners(points)
+        return np.bincount(nodes.ravel(), (parts * gradient).ravel(), minlength=len(weights))
+
+    def pullback(self, shared, weights, mesh, gradient):
+        nodes, _, slopes = self.corners(mesh.vertices)
+        slope = (weights[nodes][..., None] * slopes).sum(1)
+        by = -(gradient * slope).sum(1) / (slope**2).sum(1)
+        return Sloped.adjoint(self, shared, weights, mesh.vertices, by[:, None])
+
+
+@breaks("check_pullback_agrees_with_differences")
+class ForgetsTheSlope(Sloped):
+    def pullback(self, shared, weights, mesh, gradient):
+        normal = (gradient * mesh.vertex_normals).sum(1)
+        return self.adjoint(shared, weights, mesh.vertices, normal[:, None])  # inward is outward
+
+
+@breaks("check_adjoint_agrees_with_differences")
+class TwiceTheGradient(Sloped):
+    def adjoint(self, shared, weights, points, gradient):
+        return 2 * super().adjoint(shared, weights, points, gradient)
+
+
 # solvers
 
 

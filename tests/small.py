@@ -5,8 +5,10 @@ SMALL_SLOW makes every fit and decode take that many seconds.
 """
 
 import os
+import sqlite3
 import time
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 
@@ -23,6 +25,7 @@ CALLS = Counter()
 INTERRUPT = [0]
 LENGTHS = np.array([2.0, 2.2, 2.4, 2.6, 2.8, 3.0, 2.5])
 WIDTHS = np.array([1.0, 1.4, 1.1, 1.3, 1.2, 1.0, 1.4])
+COLUMNS = "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh, digest"
 DRAG = np.array([0.30, 0.34, np.nan, 0.38, np.nan, 0.36, 0.33])
 
 
@@ -142,3 +145,27 @@ def _equal(one, other):
 
 def _slow():
     time.sleep(float(os.environ.get("SMALL_SLOW", 0)))
+
+
+def rows(folder):
+    """What a run folder's database holds but for times."""
+    with closing(sqlite3.connect(folder / "runs.sqlite")) as database:
+        return sorted(database.execute(f"SELECT {COLUMNS} FROM designs").fetchall())
+
+
+def files(folder):
+    """What its designs' folders hold."""
+    return {p.relative_to(folder): p.read_bytes() for p in (folder / "designs").rglob("*") if p.is_file()}
+
+
+def told(result):
+    """A result as plain values."""
+    mesh = result.design.mesh
+    return (
+        dict(result.design.target),
+        result.design.mix.alpha.tobytes(),
+        result.design.weights.tobytes(),
+        [(c.name, repr(c.value), c.sense, c.limit, c.unit, c.needs, c.note) for c in result.checks],
+        dict(result.provenance),
+        None if mesh is None else (mesh.vertices.tobytes(), mesh.faces.tobytes(), mesh.units),
+    )

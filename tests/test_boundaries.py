@@ -19,8 +19,18 @@ LONGEST = 400  # lines
 LAYERS = (
     {"errors"},
     {"types"},
-    {"pareto"},
-    {"units", "topology", "metrics", "intersections", "meshfile", "reading", "threads", "protocols", "hookspecs"},
+    {
+        "units",
+        "topology",
+        "metrics",
+        "pareto",
+        "intersections",
+        "meshfile",
+        "reading",
+        "threads",
+        "protocols",
+        "hookspecs",
+    },
     {"plugins", "lamp", "progress"},
     {"partial"},
     {"fitted"},
@@ -35,19 +45,28 @@ LAYERS = (
     {"decode"},
     {"angles"},
     {"check"},
+    {"goals", "chain"},
+    {"quantities", "terms"},
+    {"safeguards"},
     {"holdout", "recommend"},
     {"calibrate", "compare", "extrapolation", "residuals"},
-    {"database", "rows"},
+    {"database", "rows", "evaluations"},
     {"written"},
     {"record"},
     {"mixes"},
     {"choices"},
+    {"experiments"},
     {"study"},
+    {"wishes", "closing"},
     {"task"},
+    {"crew"},
     {"workers"},
     {"reporting"},
+    {"compromise"},
     {"explore", "front", "motion"},
     {"loop"},
+    {"joining"},
+    {"enrich"},
     {"lampopt", "cli", "testing"},
 )
 PUBLIC = {  # what a plugin may import
@@ -58,6 +77,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.measured",
     "lampopt.meshfile",
     "lampopt.metrics",
+    "lampopt.pareto",
     "lampopt.plugins",
     "lampopt.protocols",
     "lampopt.reading",
@@ -66,7 +86,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.threads",
     "lampopt.types",
 }
-HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich"}
+HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich", "dask"}
 
 
 def dotted(path):

@@ -425,3 +425,28 @@ def test_invariants(seed, k, n):
     if mix.status == "exact":
         assert np.abs(mix.residual).max(initial=0.0) < 1e-6
     assert (mix.status == "infeasible") == bool(mix.conflicts)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_any_mixture_of_demands_has_an_answer_that_is_told_true(seed):
+    """Degenerate ones too: rows that repeat, ranges of one point, bounds that leave a corner."""
+    draw = np.random.default_rng(seed)
+    n, k, q = (int(draw.integers(*ends)) for ends in ((2, 20), (0, 6), (0, 4)))
+    matrix, wide = draw.uniform(-1, 1, (k, n)), draw.uniform(-1, 1, (q, n))
+    if k > 1 and draw.random() < 0.4:
+        matrix[-1] = matrix[0]
+    low = draw.uniform(-1, 0.5, q)
+    bound = draw.choice([1.0, 0.5, 0.2])
+    p = Problem(
+        tuple(f"q{i}" for i in range(k)), matrix, draw.uniform(-1.5, 1.5, k), hard=draw.random(k) < 0.5,
+        range_names=tuple(f"r{i}" for i in range(q)), range_matrix=wide, range_low=low,
+        range_high=low + draw.choice([0.0, 0.1, 1.0], q), ridge=float(draw.choice([0, 1e-3, 1])),
+        alpha_low=np.full(n, -bound), alpha_high=np.full(n, bound),
+    )  # fmt: skip
+    mix = CasADi().solve(p)
+    values = wide @ mix.alpha
+    kept = (values >= p.range_low - 1e-6).all() and (values <= p.range_high + 1e-6).all()
+    kept = kept and np.abs(mix.alpha).max() <= bound + 1e-6 and np.abs(mix.residual[p.hard]).max(initial=0.0) <= 1e-6
+    assert kept or mix.status == "infeasible"
+    if mix.status == "exact":
+        assert np.abs(mix.residual).max(initial=0.0) <= 1e-6

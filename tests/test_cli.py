@@ -20,9 +20,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from lampopt import cli, hookimpl, load_bank, progress
+from lampopt import cli, experiments, hookimpl, load_bank, progress
 from lampopt.cli.answer import Answer, Command, _plain
 from lampopt.errors import InputError
+from lampopt.fitted import store_fitted
 from lampopt.plugins import Plugins
 
 HERE = Path(__file__).parent
@@ -171,7 +172,7 @@ def test_check_plugin(call, ask):
     code, document, _ = ask("check-plugin", "nobody")
     assert code == 2
     assert document["error"]["type"] == "PluginError"
-    assert "known are: datasets" in document["error"]["message"]
+    assert "known are: casadi, datasets" in document["error"]["message"]
 
 
 # banks
@@ -350,7 +351,7 @@ def test_make_judges_as_far_as_it_is_told(ask, call, folder):
         (["--keep", "length", "--reference", "car_9"], "there are car_0"),
         (["--target", "length=1", "--limit", "mismatch=small"], "--limit mismatch: expected a number"),
         (["--target", "length=1", "--limit", "mismatc=1"], "limits: unknown mismatc"),
-        (["--target", "length=1", "--solver", "ktk"], "installed are: kkt"),
+        (["--target", "length=1", "--solver", "ktk"], "installed are: casadi, kkt"),
         (["--target", "length=1", "--solver-set", "ridge=-1"], "ridge"),
         (["--target", "length=1", "--resolution", "1"], "resolution: expected a whole number from 4"),
         (["--target", "length=1", "--level", "all"], "'alpha', 'field', 'mesh'"),
@@ -362,6 +363,118 @@ def test_make_judges_as_far_as_it_is_told(ask, call, folder):
 def test_make_refuses(ask, folder, monkeypatch, args, message):
     monkeypatch.chdir(folder)
     code, document, _ = ask("make", "cars.lamp", *args)
+    assert code == 2
+    assert message in document["error"]["message"]
+
+
+BROAD = ["--level", "alpha", "--solver", "casadi"]
+
+
+@pytest.fixture(scope="module")
+def model(folder):
+    """The file of a model that tells drag from length and angle."""
+    regression = Plugins.load().make("model", "linear")
+    rows = np.array([[length, angle] for length in (1.0, 1.2, 1.4) for angle in (0.0, 4.0, 8.0)])
+    drag = rows @ [[2.0], [0.1]] - 1.5
+    fitted = regression.fit(rows, drag, inputs=("length", "angle"), names=("drag",), units=("N",), seed=0)
+    store_fitted(fitted, folder / "drag.model", "model", "linear")
+    return folder / "drag.model"
+
+
+def test_make_with_ranges_weights_and_what_is_hard(ask, folder):
+    args = ["make", folder / "cars.lamp", *BROAD, "--target", "length=1.3", "--hard", "length"]
+    code, document, _ = ask(*args, "--range", "angle=2 deg:6")
+    assert (code, document["status"]) == (0, "exact")
+    assert document["predicted"]["length"]["value"] == pytest.approx(1.3, abs=1e-6)
+    assert 2 - 1e-4 <= document["predicted"]["angle"]["value"] <= 6 + 1e-4
+    code, document, _ = ask(*args, "--range", "angle=6.5:")
+    assert document["predicted"]["angle"]["value"] == pytest.approx(6.5, abs=1e-3)
+    code, document, _ = ask(*args, "--range", "angle=: 1.5 deg", "--ridge", "0", "--norm", "1", "--alpha", "-2:")
+    assert document["predicted"]["angle"]["value"] == pytest.approx(1.5, abs=1e-3)
+    clash = ["--target", "length=1.2", "--target", "extents.length=1.4"]
+    for weight, nearer in (("100", 1.2), ("0.01", 1.4)):
+        code, document, _ = ask("make", folder / "cars.lamp", *BROAD, *clash, "--weight", f"length={weight}")
+        assert code == 1
+        assert document["predicted"]["length"]["value"] == pytest.approx(nearer, abs=0.01)
+
+
+def test_make_says_what_clashes_and_by_how_much(ask, call, folder):
+    args = ["make", folder / "cars.lamp", *BROAD, "--target", "length=1.2", "--range", "extents.length=1.3:"]
+    code, document, _ = ask(*args)
+    assert (code, document["status"]) == (1, "infeasible")
+    assert [sorted(names) for names in document["conflicts"]] == [["extents.length (range)", "length"]]
+    assert "extents.length (range) down to 1.3 →" in document["message"]
+    code, err = call(*args)
+    assert code == 1
+    said = " ".join(err.split())
+    assert re.search(r"infeasible mix: .*length 1\.2 → 1\.\d+ m.* would agree; .* alone would be enough", said)
+
+
+def test_make_with_an_objective(ask, folder):
+    args = ["make", folder / "cars.lamp", *BROAD, "--keep", "angle", "--reference", "car_1"]
+    code, document, _ = ask(*args, "--reduce", "drag=0.5")
+    assert document["target"] == {"angle": 0.0, "drag": pytest.approx(0.5)}
+    inside = ["--alpha", "0:1", "--range", "length=1.1:1.3"]
+    for option, length in (("--minimise", 1.1), ("--maximise", 1.3)):
+        more = ["--keep", "angle", "--hard", "angle", *inside, option, "extents.length"]
+        code, document, _ = ask("make", folder / "cars.lamp", *BROAD, *more)
+        assert (code, document["status"]) == (0, "exact")
+        assert document["predicted"]["length"]["value"] == pytest.approx(length, abs=1e-3)
+        assert min(document["alpha"].values()) > -1e-6
+
+
+def test_make_asks_for_a_models_value_safely(ask, call, folder, model):
+    args = ["make", folder / "cars.lamp", *BROAD, "--model", f"aero={model}", "--target", "aero.drag=0.8"]
+    code, document, _ = ask(*args)
+    check = next(check for check in document["checks"] if check["name"] == "target.aero.drag")
+    assert (code, check["passed"]) == (0, True)
+    code, document, _ = ask("make", folder / "cars.lamp", *BROAD, "--target", "length=9", "--safe", "alpha")
+    assert next(check for check in document["checks"] if check["name"] == "alpha")["value"] <= 3 + 1e-3
+    assert any("safe alpha" in names for names in document["conflicts"])
+
+
+def test_make_measures_and_corrects(ask, folder):
+    args = ["make", folder / "cars.lamp", "--target", "length=1.2", *LOOSE, "--turns", "2"]
+    code, document, _ = ask(*args, "--measured", "length=extents.length")
+    assert code == 0
+    assert document["provenance"]["turns"] <= 2
+    assert "measured.length" in {check["name"] for check in document["checks"]}
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--hard", "angle"], "hard: ['angle'] are not asked for"),
+        (["--weight", "length=much"], "--weight length: expected a number, got 'much'"),
+        (["--weight", "angle=2"], "weights: ['angle'] are not asked for"),
+        (["--range", "angle"], "--range: expected NAME=VALUE, got 'angle'"),
+        (["--range", "angle=8"], "--range: expected angle=LOW:HIGH, one of the two perhaps left out, got '8'"),
+        (["--range", "angle=:"], "--range: expected angle=LOW:HIGH"),
+        (["--range", "angle=1:2:3"], "--range: expected angle=LOW:HIGH"),
+        (["--range", "angle=1 m:2"], "cannot bring [m] to [deg]"),
+        (["--range", "angle=low:2"], "angle: expected a number or text"),
+        (["--range", "angle=3:2"], "expected low ≤ high, got 3 to 2"),
+        (["--range", "angle=1:2"], "solver 'kkt' is not able to take ranges"),
+        (["--reduce", "drag"], "--reduce: expected NAME=VALUE, got 'drag'"),
+        (["--reduce", "drag=all"], "--reduce drag: expected a number"),
+        (["--reduce", "drag=1.5"], "Reduce('drag'): expected `by` as a fraction below 1"),
+        (["--reduce", "drag=0.1"], "needs a reference"),
+        (["--minimise", "drag", "--maximise", "drag"], "--minimise: expected one objective, got --maximise too"),
+        (["--model", "drag.model"], "--model: expected NAME=VALUE"),
+        (["--model", "aero=none.model"], "none.model"),
+        (["--measured", "angle=panels.ramp"], "measured: ['angle'] are not asked for"),
+        (["--safe", "quality"], "'alpha', 'mismatch', 'jacobian'"),
+        (["--alpha", "0"], "--alpha: expected LOW:HIGH"),
+        (["--alpha", "zero:1"], "--alpha: expected a number, got 'zero'"),
+        (["--alpha", "1:0"], "alpha: expected the lowest and the highest coefficient"),
+        (["--ridge", "-1"], "ridge: expected a number of at least 0"),
+        (["--norm", "3"], "1<=x<=2"),
+        (["--turns", "101"], "0<=x<=100"),
+    ],
+)
+def test_make_refuses_wishes(ask, folder, monkeypatch, args, message):
+    monkeypatch.chdir(folder)
+    code, document, _ = ask("make", "cars.lamp", "--target", "length=1.2", *args)
     assert code == 2
     assert message in document["error"]["message"]
 
@@ -407,13 +520,60 @@ def test_sweep(call, ask, study):
     assert len(list((place / "designs").iterdir())) == 5 - rows.count((None,))  # a folder where there is a mesh
 
 
+def test_sweep_over_a_models_value(ask, call, study, model):
+    text = study.read_text().partition("[targets]")[0] + 'solver = "casadi"\nlevel = "alpha"\n'
+    study.write_text(text + f"[models]\naero = '{model}'\n[ranges]\nlength = [1.0, inf]\n'aero.drag' = [-inf, 5]\n")
+    code, err = call("sweep", study, "--set", "aero.drag=0.7,0.9")
+    assert code == 2
+    assert "asked for twice" in err
+    study.write_text(study.read_text().replace("'aero.drag' = [-inf, 5]\n", ""))
+    code, err = call("sweep", study, "--set", "aero.drag=0.7,0.9")
+    assert code == 0, err
+    assert "aero.drag [N]" in err
+    study.write_text(study.read_text() + "'aero.drag' = [-inf, 5]\n[targets]\nangle = 4\n")
+    assert ask("run", study)[0] == 0
+
+
+def test_sweep_of_experiments(ask, study):
+    level = "level = 'alpha'\n"
+    study.write_text(level + study.read_text())
+    ranges = {"length": (1.1, 1.3), "angle": (0.0, 4.0)}
+    options = ["--set", "length=1.1,1300 mm", "--set", "angle=0,4 deg"]
+    bank = study.parent / "cars.lamp"
+
+    def targets(*args):
+        code, document, _ = ask("sweep", study, *args)
+        assert code in (0, 1)
+        return [{name: pytest.approx(design["target"][name]) for name in ranges} for design in document["designs"]]
+
+    assert targets("--experiments", 5, *options) == experiments(bank, ranges, 5)
+    assert targets("--experiments", 6, "--method", "sobol", "--seed", 3, *options) == experiments(
+        bank, ranges, 6, method="sobol", seed=3
+    )
+    corners = experiments(bank, ranges, method="corners")
+    assert targets("--method", "corners", *options) == corners
+    text = study.read_text().partition("[sweep]")[0]
+    plan = "[experiments]\ncount = 3\nmethod = 'halton'\nranges = { length = [1.1, 1.3], angle = [0, 4] }\n"
+    study.write_text(text + plan)
+    assert targets() == experiments(bank, ranges, 3, method="halton")
+    assert targets("--experiments", 5) == experiments(bank, ranges, 5, method="halton")  # a plan that grows
+    assert targets("--method", "sobol", "--seed", 1) == experiments(bank, ranges, 3, method="sobol", seed=1)
+    assert targets("--method", "corners") == corners
+    assert len(targets("--set", "length=1.1,1.2,1.3")) == 3  # without them, --set is values
+
+
 @pytest.mark.parametrize(
     ("text", "args", "message"),
     [
         (None, [], "cannot be read as a study"),
         ("bank = ", [], "not valid TOML"),
         ('bank = "none.lamp"', [], "none.lamp: no such file"),
-        ('bank = "cars.lamp"', [], "has no [sweep] table: add one, or name values"),
+        ('bank = "cars.lamp"', [], "has no [sweep] table, and no [experiments]: add one, or name values"),
+        ('bank = "cars.lamp"', ["--experiments", "4"], "expected a low and a high value for each name, as in --set"),
+        ('bank = "cars.lamp"', ["--experiments", "4", "--set", "length=1"], "a low and a high value, got 1 values"),
+        ('bank = "cars.lamp"', ["--method", "sobol", "--set", "length=1,2"], "count: expected a whole number from 1"),
+        ('bank = "cars.lamp"', ["--experiments", "4", "--method", "corners", "--set", "length=1,2"], "expected none"),
+        ('bank = "cars.lamp"', ["--method", "corners", "--set", "lenth=1,2"], "known are length"),
         ('bank = "cars.lamp"', ["--set", "length=1,"], "expected values between commas"),
         ('bank = "cars.lamp"', ["--set", "lenth=1"], "known are length"),
         ('bank = "cars.lamp"', ["--set", "length=1", "--folder", "cars.lamp"], "--folder"),

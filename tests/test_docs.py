@@ -35,7 +35,9 @@ def bank(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "docs/exploring.md", "docs/fronts.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/quickstart.md", "docs/exploring.md", "docs/fronts.md", "docs/wishes.md"]
+)
 def test_programs_run(page, bank, tmp_path):
     shutil.copy(bank, tmp_path / "plates.lamp")
     found = programs(ROOT / page)
@@ -60,10 +62,13 @@ def test_readme_has_a_line_for_each_folder():
 
 
 def test_study_example_has_every_entry_and_can_be_read():
-    (example,) = programs(ROOT / "docs/files.md", "toml")
-    assert set(tomllib.loads(example)) == {field.name for field in dataclasses.fields(lampopt.Study)}
-    study = lampopt.Study.from_toml(example)
-    assert lampopt.Study.from_toml(study.to_toml()).to_toml() == study.to_toml()
+    example, plan = programs(ROOT / "docs/files.md", "toml")  # a study has a sweep or a plan, not both
+    fields = {field.name for field in dataclasses.fields(lampopt.Study)}
+    assert set(tomllib.loads(example)) | set(tomllib.loads(plan)) == fields
+    assert set(tomllib.loads(plan)["experiments"]) == {field.name for field in dataclasses.fields(lampopt.Experiments)}
+    for written in (example, example.partition("[sweep]")[0] + plan):
+        study = lampopt.Study.from_toml(written)
+        assert lampopt.Study.from_toml(study.to_toml()).to_toml() == study.to_toml()
 
 
 def test_every_limit_is_explained_with_its_default():

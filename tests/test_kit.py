@@ -18,12 +18,13 @@ HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE), str(HERE.parent / "examples" / "third_party_decoder")) if p not in sys.path]
 toys = importlib.import_module("toys")
 BROKEN = importlib.import_module("broken_more").BROKEN
+Sloped = importlib.import_module("broken").Sloped
 gridsdf = importlib.import_module("lampopt_gridsdf")
 GridSDF = gridsdf.GridSDF
 FRESH = "check_fresh_process_agrees"  # takes a second, so only where it is what is tested
 
 
-@testing.decoder_checks(GridSDF(size=16), toys.Radial())
+@testing.decoder_checks(GridSDF(size=16), Sloped(size=12), toys.Radial())
 def test_decoders_that_are_right(check):
     check()
 

@@ -22,7 +22,7 @@ import pytest
 import trimesh
 
 import lampopt
-from lampopt import Reduce, Spec, Study
+from lampopt import Linear, Reduce, Spec, Study
 from lampopt.errors import InputError, LampoptError, MeasureError, PluginError, SolveError, StudyError
 from lampopt.meshfile import FORMATS, load_mesh
 from lampopt.mixes import Mixes
@@ -515,7 +515,7 @@ def test_a_target_that_no_mix_can_move_is_refused():
 @pytest.mark.parametrize(
     ("study", "error", "message"),
     [
-        ({"solver": "kkkt"}, PluginError, "solver 'kkkt' is not installed; installed are: kkt"),
+        ({"solver": "kkkt"}, PluginError, "solver 'kkkt' is not installed; installed are: (casadi, )?kkt"),
         ({"solver": Spec("kkt", rigde=1)}, PluginError, "unknown option 'rigde'; known are: ridge: float"),
         ({"measures": ("extent",)}, PluginError, "measure 'extent' is not installed; installed are: area"),
         ({"limits": {"aplha": 1.0}}, StudyError, "limits: unknown aplha; known are alpha, .*drift.length"),
@@ -744,6 +744,18 @@ def test_meshes_are_written_as_asked(bank, tmp_path, form):
     assert small.CALLS["decode"] == 1
 
 
+class Aero:
+    """Model: lift by length."""
+
+    names, units, inputs = ("lift",), ("",), ("length",)
+
+    def __call__(self, parameters):
+        return parameters**2
+
+    def gradient(self, parameters):
+        return 2 * parameters[:, None]
+
+
 CHANGES = [
     {"targets": {"length": 2.8, "width": 1.2}},
     {"targets": {"length": 2.9}},
@@ -753,6 +765,15 @@ CHANGES = [
     {"checks": ("quiet",)},
     {"reference": "box_3"},
     {"hard": ("length",)},
+    {"weights": {"length": 2.0}},
+    {"linear": {"size": Linear({"length": 1.0, "width": 2.0}, high=9.0)}},
+    {"alpha": (-5.0, 5.0)},
+    {"ridge": 0.1},
+    {"norm": 1},
+    {"safe": ("alpha",)},
+    {"models": {"aero": Aero()}},
+    {"measured": {"length": "extents.length"}},
+    {"turns": 1, "measured": {"length": "extents.length"}},
     {"solver": Spec("kkt", ridge=0.1)},
     {"measures": ("volume",)},
     {"limits": {"alpha": 1.0}},
@@ -776,16 +797,37 @@ def test_another_question_is_another_design(bank, tmp_path, change):
 
 
 def test_each_thing_that_a_study_asks_is_among_these():
-    alone = {"bank", "sweep", "requires"}  # a bank has its own test; the others alter no design
+    alone = {"bank", "sweep", "experiments", "requires"}  # a bank has its own test; the others alter no design
     assert {name for change in CHANGES for name in change} == {item.name for item in fields(Study)} - alone
 
 
-@pytest.mark.parametrize("name", ["limits", "solver", "reference", "hard", "measures", "checks", "format", "seed"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "limits",
+        "solver",
+        "reference",
+        "hard",
+        "measures",
+        "checks",
+        "format",
+        "seed",
+        "weights",
+        "linear",
+        "alpha",
+        "ridge",
+        "norm",
+        "safe",
+        "models",
+        "measured",
+        "turns",
+    ],
+)
 def test_each_alters_the_key_itself(bank, name):
     """Not by way of the target or the evidence: the identity of what is asked."""
     given = small.plugins(COUNTING, ("second", Second()))
     study = Study(bank, targets=TARGET, reference="box_1", solver="able")
-    (change,) = [change for change in CHANGES if name in change]
+    change, *_ = [change for change in CHANGES if name in change]
     assert Task.of(study, given).identity != Task.of(replace(study, **change), given).identity
 
 

@@ -233,7 +233,7 @@ def test_one_that_cannot_be_sent_is_said(bank, tmp_path):
 
     with (
         ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as executor,
-        pytest.raises(StudyError, match="the measures size cannot be sent to other processes"),
+        pytest.raises(StudyError, match="the measures or models size cannot be sent to other processes"),
     ):
         sweep(bank, {"size": Local()}, tmp_path / "run", executor)
 

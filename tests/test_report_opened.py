@@ -32,6 +32,7 @@ def test_a_sweep_can_be_looked_at(boxes):
     assert bench.faults(found) == []
     assert found["cards"] == found["images"] == 5
     assert found["mapped"] > 0  # pictures on the map of shapes
+    assert found["strands"] == 5  # parallel coordinates
     for what in ("shape", "heat", "reference"):
         assert found[what] > 1000, what  # pixels that show it, the distances in red and blue
 
@@ -51,6 +52,7 @@ def test_without_shapes_there_is_still_a_page(tmp_path):
         pass
     found = bench.opened(tmp_path / "report.html", BROWSER)
     assert found["console"] == found["loaded"] == []
+    assert (found["strands"], found["alone"], found["crowded"]) == (2, 0, 0)
     assert (found["canvases"], found["images"], found["opened"]) == (0, 0, 2)
 
 
@@ -62,9 +64,10 @@ def test_without_shapes_there_is_still_a_page(tmp_path):
         ('<img src="data:image/webp;base64,AAAA">', "broken"),
         ("<style>#viewer { display: none }</style>", "shape: none"),
         ("<style>.bars text { font-size: 30px }</style>", "crowded"),
+        ("<style>.parallel text { font-size: 40px }</style>", "crowded"),
         ("<style>.card { padding-top: 0 } .card:last-child { padding-top: 9px }</style>", "uneven"),
     ],
-    ids=["script", "outside", "picture", "viewer", "words", "gallery"],
+    ids=["script", "outside", "picture", "viewer", "words", "axes", "gallery"],
 )
 def test_what_is_broken_is_seen(boxes, tmp_path, broken, said):
     """The looking itself: a fault that is put in is found. The page's own policy stops what comes from outside."""

@@ -21,6 +21,7 @@ from lampopt.errors import BankError, InputError, LampoptError
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [p for p in (str(HERE.parent), str(HERE)) if p not in sys.path]
 resume = importlib.import_module("benchmarks.resume")
+kills = importlib.import_module("benchmarks.sweep_kills")
 SHELL = [sys.executable, "-c", "from lampopt.cli import main; raise SystemExit(main())"]
 KILLS = 20
 DESIGNS = 16
@@ -276,3 +277,50 @@ def _zombie(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except OSError:
         return True
+
+
+# a sweep of many designs
+
+
+def killed(*arguments):
+    """`benchmarks.sweep_kills`, in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-m", "benchmarks.sweep_kills", *arguments, "--json"],
+        cwd=HERE.parent,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_sweep_killed_again_and_again_finishes_once():
+    done = killed("--designs", "40", "--kills", "2", "--by", "alone")
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads(done.stdout)["alone"]
+    assert (found["recorded"], found["sweep_killed"], found["recorded_again"]) == (40, 2, 0)
+    assert found["begun"] == 40 + found["begun_again"]
+
+
+@pytest.mark.parametrize(
+    ("notes", "fault"),
+    [
+        ("attempt 0, design a, recorded a, design b, attempt 1, design b, recorded b", None),
+        ("attempt 0, design a, recorded a, attempt 1, design a, design b, recorded b", "finished, and design again: a"),
+        (
+            "attempt 0, design a, recorded a, attempt 1, design b, recorded b, recorded a",
+            "finished, and recorded again: a",
+        ),
+        (
+            "attempt 0, design b, recorded b, recorded b, attempt 1, design a, recorded a",
+            "recorded more than once: ['b']",
+        ),
+    ],
+)
+def test_the_notes_of_a_sweep_are_read(notes, fault):
+    notes = notes.split(", ")
+    first = {f"design {note[-1]}" for note in notes[: notes.index("attempt 1")] if note.startswith("recorded")}
+    tally = kills.Tally(2, sweep_killed=1)
+    kills.judge(notes, [set(), first], tally)
+    assert [fault in found for found in tally.faults[:1]] == [True] if fault else tally.faults == []
+    assert tally.begun_again == tally.begun - 2

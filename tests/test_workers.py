@@ -1,6 +1,7 @@
 """Sweeps by many workers: the same designs, bit for bit, in the same order; a worker may be lost, nothing else is."""
 
 import errno
+import importlib
 import json
 import logging
 import multiprocessing
@@ -19,16 +20,17 @@ import pytest
 
 import lampopt
 from lampopt import Study, results
-from lampopt.errors import InputError, PluginError, StudyError, SweepError
+from lampopt.errors import BankError, InputError, PluginError, StudyError, SweepError
 
 HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
 import lethal  # noqa: E402
 import small  # noqa: E402
+import toys  # noqa: E402
+from small import files, rows, told  # noqa: E402
 
 GRID = {"length": [2.1, 2.3, -9.0, 2.5], "width": [1.1, 1.2]}  # those of a negative length have no surface
 MEASURED = {"length": "extents.length", "width": "extents.width"}
-COLUMNS = "key, target, alpha, residual, status, message, conflicts, checks, accepted, provenance, mesh, digest"
 
 
 @pytest.fixture(scope="module")
@@ -51,30 +53,9 @@ def pool(count):
     return ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
 
 
-def sweep(study, folder=None, executor=None, grid=GRID, extra=()):
-    return lampopt.sweep(study, grid, folder, executor=executor, report=False, plugins=small.plugins(*extra))
-
-
-def rows(folder):
-    with closing(sqlite3.connect(folder / "runs.sqlite")) as database:
-        return sorted(database.execute(f"SELECT {COLUMNS} FROM designs").fetchall())
-
-
-def files(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in (folder / "designs").rglob("*") if p.is_file()}
-
-
-def told(result):
-    """A result as plain values."""
-    mesh = result.design.mesh
-    return (
-        dict(result.design.target),
-        result.design.mix.alpha.tobytes(),
-        result.design.weights.tobytes(),
-        [(c.name, repr(c.value), c.sense, c.limit, c.unit, c.needs, c.note) for c in result.checks],
-        dict(result.provenance),
-        None if mesh is None else (mesh.vertices.tobytes(), mesh.faces.tobytes(), mesh.units),
-    )
+def sweep(study, folder=None, executor=None, grid=GRID, extra=(), ahead=None):
+    chosen = small.plugins(*extra)
+    return lampopt.sweep(study, grid, folder, executor=executor, ahead=ahead, report=False, plugins=chosen)
 
 
 @pytest.mark.parametrize("level", ["alpha", "mesh"])
@@ -148,6 +129,21 @@ def test_only_a_few_are_under_way(bank, tmp_path):
         assert threads.submit(int).result() == 0  # it is the caller's, and goes on
 
 
+@pytest.mark.parametrize("ahead", [1, 3])
+def test_how_many_are_under_way_can_be_said(bank, tmp_path, ahead):
+    grid = {"length": np.linspace(2.1, 2.9, 9).tolist()}
+    with Counting() as threads:
+        begun = sweep(Study(bank, level="alpha"), tmp_path, threads, grid, ahead=ahead)
+        for taken in range(9):
+            next(begun)
+            assert threads.submitted == min(ahead + taken, 9)
+        for wrong in (0, 2.0, True):
+            with pytest.raises(StudyError, match="ahead: expected a whole number from 1 and an executor, got"):
+                sweep(Study(bank), tmp_path, threads, ahead=wrong)
+    with pytest.raises(StudyError, match="ahead: expected a whole number from 1 and an executor, got 2 and None"):
+        sweep(Study(bank), tmp_path, ahead=2)
+
+
 class Eager:
     """An executor that is none of the standard library's, and answers in the order of the last first."""
 
@@ -168,11 +164,23 @@ def test_any_executor(bank, tmp_path):
         next(sweep(Study(bank), tmp_path / "other", over))
 
 
+def test_one_that_takes_no_more_work(bank, tmp_path):
+    with ThreadPoolExecutor(1) as threads:
+        begun = sweep(Study(bank), tmp_path, threads, ahead=2)
+        next(begun)
+        threads.shutdown(wait=True)
+        with pytest.raises(
+            SweepError, match=r"lost: .*it takes no more work: cannot schedule.*: 2 of 8 designs are done"
+        ):
+            next(begun)
+            next(begun)
+
+
 class Strange:
     """An executor of threads that is none of the standard library's."""
 
-    def __init__(self):
-        self.inner = ThreadPoolExecutor(1)
+    def __init__(self, count=1):
+        self.inner = ThreadPoolExecutor(count)
 
     def submit(self, function, /, *arguments):
         return self.inner.submit(function, *arguments)
@@ -188,6 +196,21 @@ def test_what_ctrl_c_does_in_somebodys_own_process_is_left_alone(bank, tmp_path)
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_threads_of_one_worker_open_the_bank_once(bank, tmp_path, monkeypatch):
+    alone = [told(r) for r in sweep(Study(bank), tmp_path / "alone")]
+    opened, of = [], lampopt.workers.Task.of
+
+    def slow(*given):
+        opened.append(of(*given))
+        time.sleep(0.2)
+        return opened[-1]
+
+    lampopt.workers._unpacked.cache_clear()
+    monkeypatch.setattr("lampopt.workers.Task.of", slow)
+    assert [told(r) for r in sweep(Study(bank), tmp_path / "run", Strange(4))] == alone
+    assert len(opened) == 2  # here, and there
 
 
 def test_our_own_processes_can_be_interrupted_in_a_design_and_nowhere_else():
@@ -270,6 +293,30 @@ def test_plugins_that_cannot_be_sent_are_named(bank, tmp_path, processes):
 
     with pytest.raises(PluginError, match=r"plugins small, mine are not installed and cannot be sent .*ThreadPoolExec"):
         next(sweep(Study(bank), tmp_path, processes, extra=[("mine", Local())]))
+
+
+def test_measures_of_the_main_program_are_refused(bank, tmp_path, processes, monkeypatch):
+    monkeypatch.setattr(toys.Size, "__module__", "__main__")  # elsewhere __main__ is another program
+    with pytest.raises(StudyError, match=r"measures mine cannot be sent .*main program.*define them in a module"):
+        next(sweep(Study(bank, measures={"mine": toys.Size()}), tmp_path, processes))
+
+
+class Unknown(lethal.Plugin):
+    """What the worker's modules lack."""
+
+    def __reduce__(self):
+        return importlib.import_module, ("nowhere",)
+
+
+def test_what_a_worker_cannot_import_or_read_is_named(bank, tmp_path, monkeypatch):
+    stored = lampopt.store_bank(bank, tmp_path / "a.lamp")
+    with pytest.raises(
+        PluginError, match=r"a worker, on .*, cannot import .*No module named 'nowhere'.*define it in a mod"
+    ):
+        list(sweep(Study(stored), tmp_path / "run", Strange(), extra=[("extra", Unknown())]))
+    monkeypatch.setattr("lampopt.loop._bank_file", lambda task, folder: tmp_path / "b.lamp")
+    with pytest.raises(BankError, match=r"a worker, on .*, cannot read the bank: .*b\.lamp: no such file.*same path"):
+        list(sweep(Study(stored), tmp_path / "run", Strange()))
 
 
 def test_a_worker_that_would_make_other_designs_is_refused(bank, tmp_path):

@@ -1,4 +1,4 @@
-"""`lampopt bank build`, `add`, `remove`, `info`: exemplars into a bank and out of it, and what is in one."""
+"""`lampopt bank build`, `add`, `enrich`, `remove`, `info`: exemplars into a bank and out of it, and what is in one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from lampopt.bank import build_bank
 from lampopt.cli.answer import Answer, Group
 from lampopt.cli.options import can_be_written, pairs, spec
 from lampopt.cli.show import number, span, table
+from lampopt.enrich import enrich as enriched
 from lampopt.exemplars import exemplars
+from lampopt.joining import REJECTED
 from lampopt.lamp import load_bank
 from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.plugins import Plugins
@@ -118,6 +120,60 @@ def add(file: Path, source: str, settings: tuple[str, ...], accept: tuple[str, .
     found = exemplars(spec(plugins, "source", source, "--set", settings), plugins=plugins)
     with progress_bar(f"building {out}") as progress:
         made = add_exemplars(before, found, store=out, accept=_named(accept), progress=progress, plugins=plugins)
+    return _described(made)
+
+
+@bank.command(resumes="the same command goes on where it stopped")
+@_file
+@click.argument("folder", metavar="FOLDER", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("names", metavar="[DESIGN]...", nargs=-1)
+@click.option(
+    "--leave-out",
+    multiple=True,
+    metavar="DESIGN",
+    help="One that does not join, or rejected: all that were; repeatable.",
+)
+@click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="NAME=MEASURE.VALUE",
+    help="A label of theirs, by what is measured; repeatable. Others are not known.",
+)
+@_accept
+@_out
+def enrich(
+    file: Path,
+    folder: Path,
+    names: tuple[str, ...],
+    leave_out: tuple[str, ...],
+    labels: tuple[str, ...],
+    accept: tuple[str, ...],
+    out: Path,
+) -> Answer:
+    """Add accepted designs of a run folder to a bank.
+
+    Each DESIGN is a folder's name in FOLDER/designs; without any, all of the last study join. Only they are fitted;
+    parameters are as measured where the bank tells how, else as predicted. Where they come from is kept in the bank,
+    which is written to a new file.
+
+    \b
+        lampopt bank enrich cars.lamp runs/roof --leave-out rejected --out richer.lamp
+    """
+    can_be_written("--out", out)
+    plugins = Plugins.load().report()
+    with progress_bar(f"building {out}") as progress:
+        made = enriched(
+            load_bank(file),
+            folder,
+            store=out,
+            only=names,
+            leave_out=REJECTED if leave_out == (REJECTED,) else leave_out,
+            labels=pairs("--label", labels),
+            accept=_named(accept),
+            progress=progress,
+            plugins=plugins,
+        )
     return _described(made)
 
 

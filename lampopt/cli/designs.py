@@ -11,18 +11,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lampopt.choices import Value
 from lampopt.cli import show
 from lampopt.cli.answer import DONE, REJECTED, Answer, Command
 from lampopt.cli.options import can_be_written, chosen_measures, numbers, pairs, spec
+from lampopt.cli.wishes import fields, wishes
 from lampopt.errors import InputError, StudyError
+from lampopt.experiments import METHODS, MOST, Experiments
 from lampopt.loop import run as run_study
 from lampopt.loop import sweep as sweep_study
 from lampopt.meshfile import FORMATS
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
 from lampopt.record import passport
-from lampopt.solve import column
-from lampopt.study import Study, Value
+from lampopt.solve import columns
+from lampopt.study import Study
+from lampopt.task import Task
 from lampopt.types import LEVELS, Bank, Check, Needs, Result
 from lampopt.workers import processes
 from lampopt.written import export_mesh
@@ -52,6 +56,7 @@ _report = click.option("--report/--no-report", default=True, help="Whether to wr
 )
 @click.option("--keep", multiple=True, metavar="NAME", help="Hold NAME at the reference's value, or the bank's mean.")
 @click.option("--reference", metavar="NAME", help="The exemplar to stay near.")
+@wishes
 @click.option("--solver", default="kkt", show_default=True, metavar="NAME", help="What chooses the mix.")
 @click.option("--solver-set", "solver_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the solver.")
 @click.option(
@@ -84,6 +89,7 @@ def make(
     level: Needs,
     seed: int,
     out: Path | None,
+    **wished: Any,
 ) -> Answer:
     """Make one design from a bank.
 
@@ -92,8 +98,10 @@ def make(
 
     \b
         lampopt make cars.lamp --target roof=1.42 --target "ramp=12 deg" --out car.stl
+        lampopt make cars.lamp --solver casadi --reference car_017 --target roof=1.42 --hard roof --range "ramp=:12 deg"
     """
-    if not (targets or keep or reference):
+    more = fields(wished)
+    if not (targets or keep or reference or more["ranges"] or more["objective"]):
         raise InputError("--target: expected at least one wanted value, such as --target roof=1.42, got none")
     plugins = Plugins.load().report()
     study = Study(
@@ -107,6 +115,7 @@ def make(
         level=level,
         resolution=resolution,
         seed=seed,
+        **more,
     )
     if out is not None:
         if out.suffix.lower().lstrip(".") not in FORMATS or not out.parent.is_dir():
@@ -156,30 +165,61 @@ def run(study_file: Path, folder: Path | None, report: bool) -> Answer:
     "grid",
     multiple=True,
     metavar="NAME=VALUE,VALUE,...",
-    help="Values of NAME, instead of the study's [sweep]; with several names every combination is made.",
+    help="Values of NAME, instead of the study's [sweep] or [experiments]; with several names every combination is "
+    "made. With the next three options a low and a high value.",
 )
+@click.option(
+    "--experiments",
+    "count",
+    type=click.IntRange(1, MOST),
+    metavar="COUNT",
+    help="So many designs, spread between a low and a high value of each NAME; those of the study's [experiments] "
+    "without --set.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(METHODS),
+    help=f"How they are spread; by default as the study says, or {METHODS[0]}. Corners need no COUNT.",
+)
+@click.option("--seed", type=click.IntRange(0), help="Of their draws; by default as the study says, or 0.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes that make designs.")
 @_report
-def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...], workers: int, report: bool) -> Answer:
-    """Make a design for every combination of values.
+def sweep(
+    study_file: Path,
+    folder: Path | None,
+    grid: tuple[str, ...],
+    count: int | None,
+    method: str | None,
+    seed: int | None,
+    workers: int,
+    report: bool,
+) -> Answer:
+    """Make a design for every combination of values, or for a plan of experiments.
 
-    The values are those of the study file's [sweep], or those behind --set. Results are recorded in a folder. Exits 0
-    if all designs are accepted, 1 if any is rejected. Designs that are recorded already are read back, so an
-    interrupted or a grown sweep computes only what is missing.
+    The values are those of the study file's [sweep] or [experiments], or those behind --set. Results are recorded in a
+    folder. Exits 0 if all designs are accepted, 1 if any is rejected. Designs that are recorded already are read back,
+    so an interrupted or a grown sweep computes only what is missing.
 
     \b
         lampopt sweep study.toml --set roof=1.30,1.36,1.42
+        lampopt sweep study.toml --experiments 64 --method sobol --set roof=1.30,1.42 --set ramp=8,16
     """
     plugins = Plugins.load().report()
     study, opened, folder = _opened(study_file, folder)
     given = {name: _listed(name, text) for name, text in pairs("--set", grid).items()}
-    values: Mapping[str, Sequence[Value]] = given or study.sweep
-    if not values:
-        raise StudyError(f"{study_file}: has no [sweep] table: add one, or name values as in --set roof=1.30,1.36")
+    if (count, method, seed) != (None, None, None):
+        study = replace(study, sweep={}, experiments=_planned(study, given, count, method, seed))
+    elif given:
+        study = replace(study, sweep=given, experiments=None)
+    elif not (study.sweep or study.experiments):
+        raise StudyError(
+            f"{study_file}: has no [sweep] table, and no [experiments]: add one, or name values as in --set "
+            "roof=1.30,1.36"
+        )
     designs: list[dict[str, Any]] = []
     rows: list[list[Any]] = []
     with progress_bar(f"sweeping {study_file.name}") as progress, _workers(workers) as executor:
-        made = sweep_study(study, values, folder, executor=executor, report=report, progress=progress, plugins=plugins)
+        made = sweep_study(study, None, folder, executor=executor, report=report, progress=progress, plugins=plugins)
         try:
             for number, result in enumerate(made, 1):
                 failed = next((check for check in result.checks if not check.passed), None)
@@ -193,13 +233,32 @@ def sweep(study_file: Path, folder: Path | None, grid: tuple[str, ...], workers:
     document = {"folder": str(folder), "accepted": accepted, "rejected": rejected, "designs": designs}
     columns = (
         "#",
-        *(f"{name} {_unit(opened, name)}".rstrip() for name in designs[0]["target"]),
+        *(f"{name} {_unit(study, name, plugins)}".rstrip() for name in designs[0]["target"]),
         "accepted",
         "first failing check",
     )
     counted = f"{accepted} of {len(designs)} designs are accepted; all are recorded in {folder}"
     shown = show.table(str(study_file), columns, rows, right=columns[:-2])
     return Answer(document, [shown, counted], REJECTED if rejected else DONE)
+
+
+def _planned(
+    study: Study, given: Mapping[str, Sequence[Value]], count: int | None, method: str | None, seed: int | None
+) -> Experiments:
+    """The plan that the options ask for, what they leave open taken from the study's own."""
+    before = study.experiments
+    if not given and before is None:
+        raise StudyError(
+            "--experiments: expected a low and a high value for each name, as in --set roof=1.30,1.42, or a table "
+            "[experiments] in the study"
+        )
+    method = method or (METHODS[0] if before is None else before.method)
+    if count is None and before is not None and method != "corners":
+        count = before.count
+    if seed is None:
+        seed = 0 if before is None else before.seed
+    ranges: Any = given or (before and before.ranges)  # as it came: Experiments says what is wrong with it
+    return Experiments(ranges, count, method, seed)
 
 
 def _workers(count: int) -> AbstractContextManager[Executor | None]:
@@ -250,6 +309,8 @@ def _summary(result: Result, bank: Bank, failed: Check | None) -> dict[str, Any]
     return {**kept, "failed": next((c for c in full["checks"] if failed and c["name"] == failed.name), None)}
 
 
-def _unit(bank: Bank, name: str) -> str:
-    unit = column(bank, name).unit
+def _unit(study: Study, name: str, plugins: Plugins) -> str:
+    """The unit of what is asked for; a model or a measure is opened for it only where it tells the value."""
+    found = columns(study.opened()).get(name)
+    unit = Task.of(study, plugins).wishes.quantities[name].unit if found is None else found.unit
     return f"[{unit}]" if unit else ""

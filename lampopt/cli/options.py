@@ -38,7 +38,12 @@ def pairs(option: str, given: Sequence[str]) -> dict[str, str]:
 
 def numbers(option: str, given: Sequence[str]) -> dict[str, float]:
     """NAME=NUMBER texts by name. Raises InputError as `pairs`, and where a value is no number."""
-    return {name: _read(float, "a number", f"{option} {name}", text) for name, text in pairs(option, given).items()}
+    return {name: number(f"{option} {name}", text) for name, text in pairs(option, given).items()}
+
+
+def number(what: str, text: str) -> float:
+    """`text` as a number. Raises InputError naming `what` where it is none."""
+    return _read(float, "a number", what, text)
 
 
 def spec(plugins: Plugins, kind: str, name: str, option: str, given: Sequence[str]) -> Spec:

@@ -28,8 +28,8 @@ def report(folder: Path, out: Path | None) -> Answer:
     """Write the report of a run folder: one HTML file that opens anywhere, offline.
 
     It shows what was asked, what came, each check with its limit, the shapes in pictures and to be turned, how far they
-    are from the exemplars, and for sweeps a gallery, curves and a map of likeness. `run` and `sweep` write it by
-    themselves; this writes it again, or elsewhere.
+    are from the exemplars, and for sweeps a gallery, curves, parallel coordinates, what is traded for what, and a map
+    of likeness. `run` and `sweep` write it by themselves; this writes it again, or elsewhere.
 
     \b
         lampopt report runs/roof --out roof.html

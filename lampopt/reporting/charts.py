@@ -18,16 +18,20 @@ CAP = 100.0  # a score beyond it is drawn there
 
 @dataclass(frozen=True)
 class Point:
-    """A design or exemplar in a chart; `kind` is ok, bad or known, `key` what pointing at it shows, "" for nothing."""
+    """A design or exemplar in a chart; `kind` is ok, bad or known, `key` what pointing at it shows, "" for nothing.
+
+    `tint` is how far up the scale of colours it is, 0 to 1; None: its kind tells the colour.
+    """
 
     x: float
     y: float
     kind: str
     key: str
     title: str
+    tint: float | None = None
 
 
-def number(value: float | None) -> str:
+def number(value: float | None, figures: int = 4) -> str:
     """Four figures, whole from 10,000 on; a dash for what is not known; 0 for what rounding left."""
     if value is None or value != value:
         return "–"
@@ -35,9 +39,21 @@ def number(value: float | None) -> str:
         return "0"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    if 1e4 <= abs(value) < 1e7:
+    if 1e4 <= abs(value) < 1e7 and figures <= 4:
         return f"{value:,.0f}".replace("-", "−")
-    return f"{value:.4g}".replace("e-0", "e-").replace("e+0", "e").replace("-", "−")
+    return f"{value:.{figures}g}".replace("e-0", "e-").replace("e+0", "e").replace("-", "−")
+
+
+def ends(low: float, high: float) -> tuple[str, str]:
+    """Both numbers, with as many figures as tell them apart."""
+    told = ((number(low, figures), number(high, figures)) for figures in (4, 6, 8, 12, 17))
+    return next((pair for pair in told if pair[0] != pair[1] or low == high), (number(low), number(high)))
+
+
+def shortened(text: str, pixels: float) -> str:
+    """`text`, cut where it would be longer than so many pixels."""
+    most = max(int(pixels / LETTER + 1e-9), 1)
+    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
@@ -64,13 +80,20 @@ def tag(name: str, text: str = "", /, **attributes: object) -> str:
     return f"<{name}{given}>{escape(text)}</{name}>"
 
 
+def drawing(width: float, height: float, title: str, said: str, content: str, kind: str = "", top: float = 0.0) -> str:
+    """A whole SVG of `content` below `top`, called `title` and described by what is `said`, if something is."""
+    told = tag("title", title) + tag("desc", said) if said else ""
+    seen = f"0 {top:g} {width:g} {height - top:g}"
+    return f'<svg class="chart{kind}" viewBox="{seen}" role="img" aria-label="{escape(title)}">{told}{content}</svg>'
+
+
 def _short(value: object) -> str:
     return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else str(value)
 
 
 @dataclass
 class Axes:
-    """A plain frame for points, in pixels; `log` is for the vertical axis."""
+    """A plain frame for points, in pixels; `log` is for the vertical axis, `said` describes it to who cannot see it."""
 
     x_range: tuple[float, float]
     y_range: tuple[float, float]
@@ -81,6 +104,7 @@ class Axes:
     height: int = 330
     log: bool = False
     bare: bool = False
+    said: str = ""
     parts: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -126,15 +150,19 @@ class Axes:
                 else f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r if p.kind == "ok" else r + 1:.1f}"/>'
             )
             key = f' data-key="{escape(p.key)}"' if p.key else ""
-            self.parts.append(f'<g class="mark {p.kind}"{key}>{shape}{tag("title", p.title)}</g>')
+            tint = "" if p.tint is None else f' style="--tint:{100 * p.tint:.0f}%"'
+            tinted = " tinted" if tint else ""
+            self.parts.append(f'<g class="mark {p.kind}{tinted}"{key}{tint}>{shape}{tag("title", p.title)}</g>')
+
+    def path(self, points: Iterable[tuple[float, float]], kind: str) -> None:
+        """A line through many points."""
+        way = "L".join(f"{self.x(x):.1f} {self.y(y):.1f}" for x, y in points)
+        self.parts.append(tag("path", _class=kind, d=f"M{way}"))
 
     def svg(self) -> str:
         """The whole chart."""
         frame = "" if self.bare else self._frame()
-        return (
-            f'<svg class="chart" viewBox="0 0 {self.width} {self.height}" role="img" '
-            f'aria-label="{escape(self.title)}">{frame}{"".join(self.parts)}</svg>'
-        )
+        return drawing(self.width, self.height, self.title, self.said, frame + "".join(self.parts))
 
     def _frame(self) -> str:
         low, right, found = self.height - self.bottom, self.width - self.right, []
@@ -168,7 +196,7 @@ def asked_against_found(
     chart = Axes(around, around, f"asked: {label}", found, title)
     chart.band(*known, "the exemplars' range")
     chart.line((around[0], around[0]), (around[1], around[1]), "agree")
-    chart.points(_thinned(points))
+    chart.points(thinned(points))
     about = float(((x - x.mean()) ** 2).sum())
     r2 = 1 - float(((y - x) ** 2).sum()) / about if about > 0 else float("nan")
     return chart.svg(), r2
@@ -184,7 +212,7 @@ def scores(points: Sequence[Point], title: str) -> str:
     )
     chart.line((0, 1), (len(points) + 1, 1), "limit")
     moved = [Point(p.x, y, p.kind, p.key, p.title) for p, y in zip(points, shares, strict=True)]
-    chart.points(_thinned(moved))
+    chart.points(thinned(moved))
     return chart.svg()
 
 
@@ -199,8 +227,7 @@ def bars(rows: Sequence[tuple[str, float, str, str]], title: str, *, width: int 
     for i, (name, value, text, kind) in enumerate(rows):
         y, long = 4 + 22 * i, abs(value) * scale
         x = zero if value >= 0 else zero - long
-        most = int((names - 14) / LETTER + 1e-9)
-        cut = name if len(name) <= most else name[: most - 1] + "…"
+        cut = shortened(name, names - 14)
         found.append(f"<g>{tag('title', name)}{tag('text', cut, x=names - 8, y=y + 15, text_anchor='end')}</g>")
         found.append(
             f'<rect class="bar {kind}" x="{x:.1f}" y="{y + 3}" width="{max(long, 1):.1f}" height="16" rx="2"/>'
@@ -243,5 +270,6 @@ def map_of_shapes(points: Sequence[Point], pictures: Sequence[str], title: str, 
     return chart.svg()
 
 
-def _thinned(points: Sequence[Point]) -> Sequence[Point]:
+def thinned(points: Sequence[Point]) -> Sequence[Point]:
+    """So many of `points` as are drawn, evenly spread."""
     return [points[i] for i in np.linspace(0, len(points) - 1, min(MOST, len(points))).round().astype(int)]

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from lampopt.evaluations import evaluations as recorded_evaluations
+from lampopt.goals import Minimise
 from lampopt.solve import Column, columns
-from lampopt.types import Array, Bank, Result
+from lampopt.study import Study
+from lampopt.types import Array, Bank, Check, Result
 
 T = TypeVar("T")
+COMPARED = ("target", "alpha", "mismatch")  # checks whose values tell designs apart
 FEW = 10  # of the accepted and of the rejected are shown, if there are so many
 
 
@@ -22,7 +27,8 @@ class Line:
 
     `worst` is the check nearest to its limit or farthest beyond, `score` how much of the limit it takes: above 1 the
     design is rejected. `predicted` is what the mix should have of what was asked, and of what is measured for it;
-    `values` are those, with their units, that checks report under their measure's address.
+    `values` are those, with their units, that checks report and do not judge: measures under their address, and others.
+    `judged` has those checks by name that designs are compared by.
     """
 
     number: int
@@ -33,6 +39,25 @@ class Line:
     worst: str
     score: float
     values: Mapping[str, tuple[float, str]]
+    judged: Mapping[str, Check] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One step of a search: design `number` of it has this `value` of the objective, the least of which is sought.
+
+    `violation` is how far the worst constraint is from being met, at most 0 where all are; `seconds` is what it took.
+    """
+
+    number: int
+    value: float
+    violation: float
+    seconds: float
+
+    @property
+    def feasible(self) -> bool:
+        """Whether every constraint is met; NaN does not tell that."""
+        return self.violation <= 0
 
 
 @dataclass(frozen=True)
@@ -124,6 +149,52 @@ def _line(number: int, result: Result, bank: Bank, known: Mapping[str, Column]) 
     mixed = {name: _mixed(known[name], alpha) for name in names if name in known}
     worst = max(result.checks, key=lambda check: check.score, default=None)
     failed = tuple(check.name for check in result.checks if not check.passed)
-    values = {c.name: (c.value, c.unit) for c in result.checks if c.sense == "info" and "." in c.name}
+    values = {c.name: (c.value, c.unit) for c in result.checks if c.sense == "info"}
+    judged = {c.name: c for c in result.checks if c.name in COMPARED}
     name = "" if worst is None else worst.name
-    return Line(number, asked, mixed, result.accepted, failed, name, result.score, values)
+    return Line(number, asked, mixed, result.accepted, failed, name, result.score, values, judged)
+
+
+def evaluations(folder: Path, study: Study) -> tuple[Evaluation, ...]:
+    """The steps of the last search of the run in `folder`, in their order; none where nothing searched.
+
+    The value is that of the study's objective, or how far a measured target is missed; the violation that of the
+    measured ranges.
+    """
+    noted = [*recorded_evaluations(folder)]
+    steps: dict[bytes, dict[str, float]] = {}
+    seconds: dict[bytes, float] = {}
+    for one in noted:
+        if one.design == noted[-1].design:
+            key = one.alpha.tobytes()
+            steps.setdefault(key, {})[one.name] = one.value
+            seconds[key] = seconds.get(key, 0.0) + one.seconds
+    return tuple(
+        Evaluation(number, _sought(study, values), _violated(study, values), seconds[key])
+        for number, (key, values) in enumerate(steps.items(), 1)
+    )
+
+
+def _named(values: Mapping[str, float], name: str) -> float | None:
+    """The value of what a study calls `name`, which may leave out whose it is."""
+    return next((value for key, value in values.items() if key == name or key.endswith(f".{name}")), None)
+
+
+def _sought(study: Study, values: Mapping[str, float]) -> float:
+    if isinstance(study.objective, Minimise) and (found := _named(values, study.objective.name)) is not None:
+        return -found if study.objective.maximised else found
+    off = [
+        abs(found - wanted)
+        for name, wanted in study.targets.items()
+        if isinstance(wanted, float | int) and (found := _named(values, name)) is not None
+    ]
+    return max(off, default=next(iter(values.values())))
+
+
+def _violated(study: Study, values: Mapping[str, float]) -> float:
+    off = [0.0]
+    for name, (low, high) in study.ranges.items():
+        found = _named(values, name)
+        if found is not None and isinstance(low, float | int) and isinstance(high, float | int):
+            off.append(max(low - found, found - high))
+    return max(off)

@@ -172,6 +172,7 @@
     open = key;
     one("#detail").replaceChildren(detail.content.cloneNode(true));
     all("[data-key]").forEach((item) => item.classList.toggle("on", item.dataset.key === key));
+    all(".strand.on").forEach((strand) => strand.parentElement.append(strand));  // above the others
     shown();
     if (!quiet) one("#shapes").scrollIntoView({ behavior: "smooth", block: "start" });
   }
@@ -203,11 +204,21 @@
   };
   all("image[data-from]").forEach((image) => { const src = picture(image.dataset.from); if (src) image.setAttribute("href", src); });
   const tip = one("#tip");
+  all("svg > title").forEach((title) => title.remove());  // the label says it too; it would show beside the tip
+  all(".strand > .way").forEach((way) => {  // thin lines are met from a little way off
+    const reach = way.cloneNode();
+    reach.setAttribute("class", "reach");
+    way.before(reach);
+  });
+  const alike = (mark, near) => {  // the same design in every chart
+    if (mark.dataset.key) all(`.mark[data-key="${mark.dataset.key}"]`).forEach((m) => m.classList.toggle("near", near));
+  };
   all(".mark").forEach((mark) => {
     const title = mark.querySelector("title"), words = title.textContent;
     title.remove();  // the tip says it, with a picture
     mark.setAttribute("aria-label", words);
     mark.addEventListener("pointerenter", (e) => {
+      alike(mark, true);
       const src = mark.dataset.key && picture(mark.dataset.key), text = document.createElement("span");
       text.textContent = words;
       tip.replaceChildren(text);
@@ -216,7 +227,7 @@
       tip.style.left = Math.min(e.clientX + 14, innerWidth - 240) + "px";
       tip.style.top = Math.min(e.clientY + 14, innerHeight - tip.offsetHeight - 12) + "px";
     });
-    mark.addEventListener("pointerleave", () => { tip.hidden = true; });
+    mark.addEventListener("pointerleave", () => { alike(mark, false); tip.hidden = true; });
   });
   select(open, true);
 })();

@@ -15,11 +15,14 @@ import numpy as np
 from lampopt.errors import LampoptError
 from lampopt.reporting import charts
 from lampopt.reporting.charts import Point, number
+from lampopt.reporting.convergence import converged
 from lampopt.reporting.figures import Figures, Packed, Shown
-from lampopt.reporting.gather import Gathered, Line
+from lampopt.reporting.gather import Evaluation, Gathered, Line
 from lampopt.reporting.layout import laid_out
 from lampopt.reporting.measuring import is_itself, read_back
+from lampopt.reporting.parallel import parallel
 from lampopt.reporting.render import ABOVE, BELOW, LEVEL, STEEL
+from lampopt.reporting.trade import trade
 from lampopt.reporting.words import (
     asked_in_short,
     asked_rows,
@@ -29,6 +32,7 @@ from lampopt.reporting.words import (
     lead,
     no_shape,
     times,
+    verdict,
     worst,
 )
 from lampopt.solve import column, columns
@@ -41,8 +45,10 @@ CURVES = 12  # at most
 log = logging.getLogger("lampopt")
 
 
-def page(run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures) -> str:
-    """The whole report as HTML, the same for the same run."""
+def page(
+    run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures, evaluations: Sequence[Evaluation] = ()
+) -> str:
+    """The whole report as HTML, the same for the same run; `evaluations` are the steps of its search, if it had one."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -91,6 +97,9 @@ def page(run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures)
         "curves": curves,
         "any_measured": any_measured,
         "curves_note": _curves_note(swept, [name for name in swept if name not in drawn_names]),
+        "parallel": parallel(study, bank, gathered, gathered.shown),
+        "trade": trade(study, bank, gathered, gathered.shown),
+        "convergence": _convergence(study, bank, evaluations),
         "rejections": Markup(_rejections(gathered)),
         "scores": Markup(_scores(gathered, seen)),
         "map": _map(bank, lines, seen, drawn.exemplars),
@@ -146,9 +155,8 @@ def _card(bank: Bank, line: Line, shown: Shown, swept: list[str], study: Study) 
 
 def _point(line: Line, seen: Mapping[int, Shown], x: float, y: float, said: str) -> Point:
     key = f"d{line.number}" if line.number in seen else ""
-    verdict = "accepted" if line.accepted else f"rejected by {', '.join(line.failed)}"
     kind = "ok" if line.accepted else "bad"
-    return Point(x, y, kind, key, f"design {line.number}: {said}; {verdict}")
+    return Point(x, y, kind, key, f"design {line.number}: {said}; {verdict(line)}")
 
 
 def _curves(
@@ -220,7 +228,7 @@ def _measured(bank: Bank, name: str, line: Line, seen: Mapping[int, Shown]) -> f
     if shown is not None and name in shown.measured:
         return read_back(bank, name, shown.measured[name], line.predicted)
     address = bank.measured_by.get(name, name)
-    if address not in line.values:
+    if "." not in address or address not in line.values:
         return float("nan")
     value, unit = line.values[address]
     try:
@@ -228,6 +236,13 @@ def _measured(bank: Bank, name: str, line: Line, seen: Mapping[int, Shown]) -> f
         return read_back(bank, name, value, line.predicted)
     except LampoptError:  # another unit than the parameter's is nothing to be compared
         return float("nan")
+
+
+def _convergence(study: Study, bank: Bank, evaluations: Sequence[Evaluation]) -> dict[str, Any] | None:
+    if study.objective is None:
+        return converged(evaluations, "objective")
+    known = columns(bank).get(study.objective.name)
+    return converged(evaluations, study.objective.name, known.unit if known is not None else "")
 
 
 def _rejections(gathered: Gathered) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from lampopt.goals import Minimise, Reduce
 from lampopt.reporting.charts import bars, number
 from lampopt.reporting.figures import Shown
 from lampopt.reporting.gather import Gathered, Line, predicted
@@ -143,7 +144,7 @@ def asked_rows(study: Study, bank: Bank, gathered: Gathered) -> list[dict[str, s
             what = ", ".join(map(number, values))
         else:
             what = f"{number(values[0])} to {number(values[-1])}, {len(values):,} values"
-        if study.objective is not None and name == study.objective.name:
+        if isinstance(study.objective, Reduce) and name == study.objective.name:
             side = "below" if study.objective.by >= 0 else "above"
             what += f", {number(abs(100 * study.objective.by))} % {side} {study.reference}"
         elif name in study.keep:
@@ -151,8 +152,13 @@ def asked_rows(study: Study, bank: Bank, gathered: Gathered) -> list[dict[str, s
         if name in study.hard:
             what += ", exactly"
         rows.append(_asked(name, what, bank, known[name].unit if name in known else ""))
-    for name, (low, high) in study.bounds(bank).items():
-        rows.append(_asked(name, f"between {number(low)} and {number(high)}", bank, known[name].unit))
+    for name, pair in study.ranges.items():
+        unit = known[name].unit if name in known else ""
+        low, high = (v if isinstance(v, str) else number(v) for v in pair)
+        rows.append(_asked(name, f"between {low} and {high}", bank, unit))
+    if isinstance(study.objective, Minimise):
+        often = "little" if study.objective.sign > 0 else "much"
+        rows.append(_asked(study.objective.name, f"as {often} as can be", bank, ""))
     return rows
 
 
@@ -233,6 +239,11 @@ def worst(line: Line) -> str:
     if not line.worst or line.score <= 0:
         return ""
     return f"{line.worst}: {times(line.score)}"
+
+
+def verdict(line: Line) -> str:
+    """Whether it is accepted, and if not, by what."""
+    return "accepted" if line.accepted else f"rejected by {', '.join(line.failed)}"
 
 
 def times(share: float) -> str:

@@ -11,7 +11,7 @@ from lampopt.errors import InputError
 from lampopt.plugins import Plugins
 from lampopt.reading import path_of, why
 from lampopt.reporting.figures import figures
-from lampopt.reporting.gather import gather
+from lampopt.reporting.gather import evaluations, gather
 from lampopt.reporting.page import page
 from lampopt.study import Study
 from lampopt.types import Bank, Result
@@ -66,7 +66,7 @@ def write_report(
         0 if gathered.single else min(BESIDE, len(gathered.shown)),
         plugins or Plugins.load().report(),
     )
-    text = page(folder.absolute().name, study, bank, gathered, drawn)
+    text = page(folder.absolute().name, study, bank, gathered, drawn, evaluations(folder, study))
     aside = path.with_name(path.name + ".writing")
     try:
         aside.write_bytes(text.encode(errors="replace"))  # a folder's name may have bytes in it that are no text

@@ -25,6 +25,7 @@ from lampopt.testing.bench import (
     writable,
 )
 from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, must_raise, require
+from lampopt.testing.slopes import check_adjoint_agrees_with_differences, check_pullback_agrees_with_differences
 from lampopt.types import Array
 
 NEAR = 0.05  # mean distance of a fitted surface to its mesh
@@ -313,4 +314,6 @@ CHECKS: tuple[CheckFunction, ...] = (
     check_empty_mesh_is_refused,
     check_read_only_arrays_will_do,
     check_fresh_process_agrees,
+    check_pullback_agrees_with_differences,
+    check_adjoint_agrees_with_differences,
 )

@@ -7,7 +7,7 @@ from lampopt.types.arrays import Array, frozen_array
 from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
-from lampopt.types.problem import BOUNDS, Conflict, Mix, MixBatch, Problem, Status, Term, called
+from lampopt.types.problem import BOUNDS, Conflict, Mix, MixBatch, Problem, Status, Term, called, rough
 
 __all__ = [
     "BOUNDS",
@@ -33,4 +33,5 @@ __all__ = [
     "Term",
     "called",
     "frozen_array",
+    "rough",
 ]

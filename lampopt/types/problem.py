@@ -18,11 +18,17 @@ BOUNDS = "bounds on alpha"  # how these are called where they stand in the way
 class Term(Protocol):
     """A value that depends on the mix, and its gradient; None where the gradient is not known.
 
-    It may have a `name`, and a method `symbolic` that takes alpha as a CasADi expression and returns its value as one.
+    It may have a `name`; a method `symbolic` that takes alpha as a CasADi expression and returns its value as one; and
+    an attribute `rough`, true where its values have the noise of single precision.
     """
 
     def __call__(self, alpha: Array, /) -> tuple[float, Array | None]:
         """The value at alpha (N,), and its gradient (N,)."""
+
+
+def rough(term: Term) -> bool:
+    """Whether the values of a term have the noise of single precision."""
+    return bool(getattr(term, "rough", False))
 
 
 def called(term: Term, otherwise: str) -> str:

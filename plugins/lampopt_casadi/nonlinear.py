@@ -25,6 +25,7 @@ FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the ce
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
 HELD = 1e-6  # what is met to this [normalised] is met
 PRESSING = 1e-4  # a multiplier this large [at most 1] tells that a requirement presses on those that give
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 WORDS = {
     "Solve_Succeeded": "the best mix nearby is found",
     "Solved_To_Acceptable_Level": "the best mix nearby is found, to a looser tolerance",
@@ -72,11 +73,13 @@ class Nonlinear:
         for name, term, low in self._terms():
             program.keep(program.value(term, name), low, 0.0)
         found, status = program.least(cost)
+        if squares.ridge < FLOOR and not problem.objectives and self._kept(found):
+            found = self._nearer(found)
         residual = problem.matrix @ found - problem.target
         if squares.ridge < FLOOR and np.linalg.norm(found - problem.centre) > FARTHEST:
             status = "Diverging_Iterates"
         words = WORDS.get(status, f"IPOPT ended with {status}")
-        solved = status in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+        solved = status in SOLVED
         missed = np.abs(residual).max(initial=0.0) > HELD * (1 + np.abs(problem.target).max(initial=0.0))
         if solved and not missed and self._kept(found):
             return Mix(found, residual, "exact", f"every target is met; {words}" if len(problem.names) else words)
@@ -86,6 +89,17 @@ class Nonlinear:
             return infeasible(nearest, problem.matrix @ nearest - problem.target, conflicts)
         kind: Status = "inexact" if solved else "failed"
         return Mix(found, residual, kind, f"{held_off(problem, residual)}; {words}" if solved else words)
+
+    def _nearer(self, found: Array) -> Array:
+        """Of all alpha with the rows of `found` that keep all constraints, the nearest to the centre; or `found`."""
+        rows = self.squares.rows
+        program = _Program(self.must, found, all(is_symbolic(term) for _, term, _ in self._terms()), self.iterations)
+        if len(rows):
+            program.keep(casadi.DM(rows) @ program.alpha, rows @ found, rows @ found)
+        for name, term, low in self._terms():
+            program.keep(program.value(term, name), low, 0.0)
+        nearer, status = program.least(program.distance(self.squares))
+        return nearer if status in SOLVED and self._kept(nearer) else found
 
     def _terms(self) -> list[tuple[str, Term, float]]:
         """Constraints and equalities: name, term and the least value that it may have; the largest is 0."""
@@ -164,6 +178,9 @@ class _Program:
                 "max_iter": self.iterations,
                 "tol": 1e-10,
                 "constr_viol_tol": 1e-10,
+                "acceptable_iter": 8 if self.outside.rough else 0,
+                "acceptable_tol": 1e-4,  # a slope that noise does not let become less
+                "acceptable_obj_change_tol": 1e-9,
                 "bound_relax_factor": 0.0,
                 "hessian_approximation": "exact" if self.exact else "limited-memory",
             },

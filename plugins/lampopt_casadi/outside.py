@@ -9,7 +9,7 @@ import casadi
 import numpy as np
 
 from lampopt.errors import SolveError
-from lampopt.types import Array, Term
+from lampopt.types import Array, Term, rough
 
 
 def is_symbolic(term: Term) -> bool:
@@ -22,11 +22,13 @@ class Outside:
 
     def __init__(self) -> None:
         self._evaluations, self._held = list[Evaluations](), list[Any]()
+        self.rough = False  # whether any of them is
 
     def expression(self, term: Term, alpha: Any, name: str) -> Any:
         """The value of `term` at `alpha` (N,) as an expression."""
         if is_symbolic(term):
             return term.symbolic(alpha)  # type: ignore[attr-defined]  # told by is_symbolic
+        self.rough |= rough(term)
         self._evaluations.append(Evaluations(term, name))
         self._held.append(_Outside(self._evaluations[-1], alpha.numel()))
         return self._held[-1](alpha)

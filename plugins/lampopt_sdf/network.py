@@ -135,3 +135,35 @@ def evaluate(network: Network, weights: Array, points: Array, device: torch.devi
             block = network.features(given[start : start + BLOCK])[None]
             values[start : start + BLOCK] = run.forward(layers, block)[0, :, 0]
         return np.asarray(values.cpu().numpy())
+
+
+def adjoint(network: Network, weights: Array, points: Array, gradient: Array, device: torch.device) -> Array:
+    """(D,) Σ gradient·∂f/∂weights over points (M, 3), from a gradient by values (M,)."""
+    with torch.no_grad():
+        layers = network.layers(torch.as_tensor(np.array(weights, np.float32), device=device)[None])
+        found = torch.zeros((1, network.size), device=device)
+        sums = network.layers(found)
+        given = torch.as_tensor(np.array(points, np.float32), device=device)
+        by = torch.as_tensor(np.array(gradient, np.float32), device=device).reshape(1, -1, 1)
+        run = Pass(network, 1, device)
+        for start in range(0, len(given), BLOCK):
+            features = network.features(given[start : start + BLOCK])[None]
+            run.forward(layers, features)
+            run.backward(layers, sums, features, by[:, start : start + BLOCK])
+        return np.asarray(found[0].cpu().numpy(), float)
+
+
+def slopes(network: Network, weights: Array, points: Array, device: torch.device) -> Array:
+    """(M, 3) ∂f/∂z of one weight vector (D,) at points (M, 3)."""
+    layers = network.layers(torch.as_tensor(np.array(weights, np.float32), device=device)[None])
+    found = []
+    for start in range(0, len(points), BLOCK):
+        at = torch.tensor(np.array(points[start : start + BLOCK], np.float32), device=device, requires_grad=True)
+        hidden = network.features(at)[None]
+        for matrix, bias in layers[:-1]:
+            before = torch.baddbmm(bias, hidden, matrix)
+            hidden = torch.sin(network.omega * before) if network.activation == "sine" else torch.relu(before)
+        value = torch.baddbmm(layers[-1][1], hidden, layers[-1][0])
+        (slope,) = torch.autograd.grad(value.sum(), at)
+        found.append(slope.cpu().numpy())
+    return np.concatenate(found) if found else np.empty((0, 3))

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 RATES = {"relu": 2e-3, "sine": 2e-4}  # first learning rate of Adam for an exemplar
 START, PROBES, ORDER, POINTS = range(4)  # streams of random numbers, none of which repeats another
+STEEP = 0.1  # slope of the field below which a surface point's motion is not told by it; a distance has 1
 FRESH = 1.5  # times that for weights that start at random
 
 
@@ -132,6 +133,29 @@ class SdfMlp:
     def decode(self, shared: Shared, weights: Array, *, resolution: int) -> Trimesh:
         """The zero level set in the box, closed, faces outward. Raises EmptyMesh."""
         return field_to_mesh(lambda points: self.evaluate(shared, weights, points)[..., 0], self.bounds, resolution)
+
+    def adjoint(self, shared: Shared, weights: Array, points: Array, gradient: Array) -> Array:
+        """(D,) from a gradient (M, 1) by the values of `evaluate` at points (M, 3)."""
+        from lampopt_sdf.network import adjoint
+
+        if np.shape(gradient) != (len(points), 1):
+            raise InputError(f"gradient: expected shape {(len(points), 1)}, got {np.shape(gradient)}")
+        return adjoint(self._network(), weights, points, gradient, self._device())
+
+    def pullback(self, shared: Shared, weights: Array, mesh: Trimesh, gradient: Array) -> Array:
+        """(D,) from a gradient (V, 3) by the vertices of `mesh`, the zero level set of weights (D,).
+
+        A surface point moves along its normal by −δf / |∇f| (Remelli et al., 2020, MeshSDF). What a motion along the
+        surface would change, a change of the vertices' places in their cells, is left out.
+        """
+        from lampopt_sdf.network import slopes
+
+        points, gradient = np.asarray(mesh.vertices), np.asarray(gradient, float)
+        if gradient.shape != points.shape:
+            raise InputError(f"gradient: expected shape {points.shape}, a row for each vertex, got {gradient.shape}")
+        slope = slopes(self._network(), weights, points, self._device())
+        by = -(gradient * slope).sum(1) / np.maximum((slope**2).sum(1), STEEP**2)
+        return self.adjoint(shared, weights, points, by[:, None])
 
     def probes(self, shared: Shared, count: int, seed: int) -> Array:
         """(count, 3) points drawn evenly in the box (paper, appendix N)."""

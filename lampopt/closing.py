@@ -1,0 +1,185 @@
+"""The closed loop: measure what was made, correct the ask, and make it again, so that what is measured hits the target.
+
+What is off is mostly the same nearby (a decoder's blunting, a label that is not linear in the mix), so that asking for
+as much more or less takes nearly all of it away. The first correction takes one unit asked for one unit measured; each
+turn then teaches how they really go together (Broyden, 1965). The best of all turns counts.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lampopt.check import Limits
+from lampopt.errors import StudyError
+from lampopt.mix import predicted
+from lampopt.quantities import Quantities, Quantity
+from lampopt.solve import Column, Posed
+from lampopt.study import Study
+from lampopt.types import Array, Bank, Check, Mix
+from lampopt.units import factor
+
+CLOSE = 1e-4  # what is off by less [half of the bank's range] needs no other turn
+FARTHEST = 1.0  # correction in one turn [half of the bank's range]
+Solve = Callable[[Mapping[str, float]], tuple[Posed, Mix]]
+log = logging.getLogger("lampopt")
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One asked value that can be measured: by what, and what should be read there.
+
+    Parameters
+    ----------
+    column
+        What is asked.
+    quantity
+        What is measured for it, `factor` times which is in the column's unit.
+    wanted
+        What it should be, in the column's unit.
+    slope
+        How much more is read for one unit more asked.
+    """
+
+    column: Column
+    quantity: Quantity
+    factor: float
+    wanted: float
+    slope: float
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """What the closed loop ends with: the problem and mix of the best turn, and what each name was read as.
+
+    `asked` are the corrected values [the bank's units], `read` and `wanted` those measured and those that should have
+    been; `expected` is what the bank's own measurements of what is asked should read; `turns` counts corrections.
+    """
+
+    posed: Posed
+    mix: Mix
+    asked: Mapping[str, float]
+    read: Mapping[str, float] = field(default_factory=dict)
+    wanted: Mapping[str, float] = field(default_factory=dict)
+    turns: int = 0
+    expected: Mapping[str, float] = field(default_factory=dict)
+
+
+def measurable(study: Study, bank: Bank, asked: Iterable[str]) -> dict[str, str]:
+    """Which measured value tells an asked one, by name: what the study says, then what the bank declares."""
+    return {
+        name: address
+        for name in asked
+        if (address := study.measured.get(name) or bank.measured_by.get(name)) is not None
+    }
+
+
+def closed(
+    study: Study, quantities: Quantities, target: Mapping[str, float], solve: Solve, start: tuple[Posed, Mix]
+) -> Closed:
+    """The best of the study's turns.
+
+    Parameters
+    ----------
+    target
+        What is asked [the bank's units].
+    solve
+        Makes the mix of what is asked instead.
+    start
+        What it makes of `target` itself.
+
+    Raises
+    ------
+    StudyError
+        If nothing that is asked can be measured.
+    """
+    posed, mix = start
+    readings = _readings(study, quantities, target, mix)
+    ask, jacobian = dict(target), np.diag([reading.slope for reading in readings.values()])
+    scale = np.array([reading.column.spread / 2 for reading in readings.values()])
+    wanted = np.array([reading.wanted for reading in readings.values()])
+    best: tuple[float, Closed] | None = None
+    before: tuple[Array, Array] | None = None
+    for turn in range(study.turns + 1):
+        read = _read(readings, quantities, mix)
+        off = (read - wanted) / scale
+        worst = float(np.abs(off).max()) if np.isfinite(off).all() else np.inf
+        values, aims = (dict(zip(readings, v.tolist(), strict=True)) for v in (read, wanted))
+        told = Closed(posed, mix, dict(ask), values, aims, turn)
+        if best is None or worst < best[0]:
+            best = worst, told
+        log.debug("turn %d: off by %.4g half ranges", turn, worst)
+        if turn == study.turns or worst <= CLOSE or worst == np.inf:
+            break
+        at = np.array([ask[name] for name in readings])
+        if before is not None:
+            step, change = (at - before[0]) / scale, off - before[1]
+            if (size := float(step @ step)) > 0:
+                jacobian = jacobian + np.outer(change - jacobian @ step, step) / size
+        before = at, off
+        correction = np.linalg.lstsq(jacobian, -off, rcond=1e-3)[0]
+        correction *= min(1.0, FARTHEST / max(float(np.abs(correction).max()), 1e-300))
+        ask |= dict(zip(readings, (at + scale * correction).tolist(), strict=True))
+        posed, mix = solve(ask)
+    assert best is not None
+    bank, found = quantities.bank, best[1]
+    declared = [name for name in target if name in bank.measured_by]
+    return replace(found, expected={name: _by_exemplars(bank, name, target, found.mix)[0] for name in declared})
+
+
+def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> Array:
+    return np.array([r.factor * quantities.value(r.quantity, mix.alpha) for r in readings.values()])
+
+
+def _readings(study: Study, quantities: Quantities, target: Mapping[str, float], mix: Mix) -> dict[str, Reading]:
+    bank, found = quantities.bank, dict[str, Reading]()
+    for name, address in measurable(study, bank, target).items():
+        column, quantity = quantities[name].column, quantities.measured(address)
+        if column is None:
+            continue  # its term sees every mesh already
+        scale = factor(quantity.unit, column.unit, f"{address!r} for {name!r}")
+        if name in study.measured:
+            found[name] = Reading(column, quantity, scale, target[name], 1.0)
+        else:
+            wanted, slope = _by_exemplars(bank, name, target, mix)
+            found[name] = Reading(column, quantity, scale, wanted, slope)
+    if not found:
+        raise StudyError(
+            "turns: nothing that is asked can be measured: declare it with measured={'name': 'measure.value'}, in the "
+            "study or when the bank is built"
+        )
+    return found
+
+
+def _by_exemplars(bank: Bank, name: str, target: Mapping[str, float], mix: Mix) -> tuple[float, float]:
+    """What should be read at the parameters that are asked for, and its change with `name`.
+
+    What `mix` makes of the exemplars' readings, and by their slopes (least squares over the exemplars) from what it
+    reaches to what is asked: a measurement may differ from its parameter by an offset, a factor, and what other
+    parameters do to it.
+    """
+    reached = predicted(bank, mix.alpha)
+    asked = np.array([target.get(q.name, reached[k]) for k, q in enumerate(bank.space)])
+    values = bank.measured[:, [*bank.measured_by].index(name)]
+    spread = np.ptp(bank.parameters, axis=0)
+    scale = np.where(spread > 0, spread, 1.0)
+    rows = (bank.parameters - bank.parameters.mean(0)) / scale
+    slopes = np.linalg.lstsq(rows, values - values.mean(), rcond=1e-8)[0] / scale
+    return float(mix.alpha @ values + (asked - reached) @ slopes), float(
+        slopes[[q.name for q in bank.space].index(name)]
+    )
+
+
+def read_checks(study: Study, quantities: Quantities, found: Closed, limits: Limits) -> list[Check]:
+    """Whether what the study itself declares measurable was measured as asked; the bank's own are checked for drift."""
+    checks = []
+    for name, address in study.measured.items():
+        if name in found.read and (column := quantities[name].column) is not None:
+            read, wanted = found.read[name], found.wanted[name]
+            off = abs(read - wanted) * 2 / column.spread
+            note = f"{address} {read:.6g}, asked {wanted:.6g} {column.unit}".rstrip()
+            checks.append(Check(f"measured.{name}", off, "<=", limits["target"], "half range", "mesh", note))
+    return checks

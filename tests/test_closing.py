@@ -1,0 +1,155 @@
+"""The closed loop: what is measured hits what was asked, whatever the decoder makes of it."""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampopt
+from lampopt import Reduce, Study
+from lampopt.errors import StudyError
+from lampopt.plugins import Plugins
+from lampopt.testing import shapes
+
+sys.path.insert(0, str(Path(__file__).parent))
+import small
+import toys
+
+
+@dataclass(frozen=True)
+class Blunt(small.Stretch):
+    """Takes a part of what a box is longer or wider than the mean, the more the farther it is out."""
+
+    def decode(self, shared, weights, *, resolution):
+        extents = np.asarray(weights[:3], float)
+        off = extents - shared["mean"]
+        return shapes.box(extents - 0.15 * off - 0.2 * off**2, centre=weights[3:].astype(float))
+
+
+class Broken:
+    """Measure that cannot be read where the box is long."""
+
+    names, units = ("length",), ("L",)
+
+    def __call__(self, mesh):
+        if mesh.extents[0] > 2.7:
+            raise lampopt.errors.MeasureError("too long to be read")
+        return mesh.extents[:1]
+
+
+class Volume:
+    """Stands for a drag that labels tell at the exemplars only."""
+
+    names, units = ("drag",), ("",)
+
+    def __call__(self, mesh):
+        return np.array([0.1 * mesh.extents.prod() ** 1.5])
+
+
+class Offer:
+    @lampopt.hookimpl
+    def lampopt_decoders(self):
+        return {"blunt": Blunt}
+
+
+PLUGINS = Plugins.load([("small", small.Plugin()), ("offer", Offer())])
+MEASURED = {"length": "extents.length", "width": "extents.width"}
+
+
+@pytest.fixture(scope="module")
+def bank():
+    meshes = small.boxes().meshes
+    labels = np.array([[0.1 * mesh.extents.prod() ** 1.5] for mesh in meshes])
+    return small.bank(small.boxes(labels=labels), decoder="blunt", plugins=PLUGINS, measured=MEASURED)
+
+
+def run(bank, *, folder=None, **asked):
+    return lampopt.run(Study(bank, **asked), folder, report=False, plugins=PLUGINS)
+
+
+def test_what_is_measured_hits_the_target(bank):
+    asked = {"targets": {"length": 3.2, "width": 1.5}}
+    extents = [run(bank, **asked, turns=turns).design.mesh.extents[:2] for turns in (0, 1, 2, 3, 6)]
+    off = [np.abs(e - [3.2, 1.5]).max() for e in extents]
+    assert off[0] > 0.1
+    assert off[1] < off[0] / 2
+    assert off[3] < off[0] / 50
+    assert off[4] < 1e-4
+
+
+def test_the_target_stays_what_was_asked_and_the_evidence_is_measured(bank):
+    open_loop = run(bank, targets={"length": 3.2})
+    assert not open_loop.check("drift.length").passed
+    result = run(bank, targets={"length": 3.2}, turns=4)
+    assert result.design.target == {"length": 3.2}
+    assert result.check("drift.length").passed
+    assert "wanted 3.2" in result.check("drift.length").note
+    assert result.provenance["turns"] <= 4
+    assert result.provenance["asked.length"] > 3.2
+    assert result.check("target").passed
+
+
+def test_a_label_is_measured_on_the_reference_as_it_is_made(bank):
+    """The reference comes out blunted itself: 10 % less than that, not than its label."""
+    measured = {"measures": {"flow": Volume()}, "measured": {"drag": "flow.drag"}, "turns": 5}
+    result = run(bank, reference="box_4", objective=Reduce("drag", by=0.1), **measured)
+    made = run(bank, reference="box_4").design.mesh
+    wanted = 0.9 * 0.1 * made.extents.prod() ** 1.5
+    assert result.design.target["drag"] == pytest.approx(wanted)
+    assert 0.1 * result.design.mesh.extents.prod() ** 1.5 == pytest.approx(wanted, rel=1e-4)
+    assert result.check("measured.drag").passed
+    assert "flow.drag" in result.check("measured.drag").note
+
+
+def test_it_stops_as_soon_as_it_is_there(bank):
+    middle = bank.shared["mean"] / bank.frame.scale
+    result = run(bank, targets={"length": float(middle[0]), "width": float(middle[1])}, turns=9)
+    assert result.provenance["turns"] == 0
+    assert not any(name.startswith("asked.") for name in result.provenance)
+
+
+def test_what_cannot_be_read_ends_it_with_the_best_so_far(bank):
+    asked = {"measures": {"own": Broken()}, "measured": {"length": "own.length"}, "turns": 3}
+    result = run(bank, targets={"length": 3.4}, **asked)
+    assert not result.check("measured.length").passed
+    assert result.design.mesh is not None
+
+
+def test_nothing_that_can_be_measured_is_said(bank):
+    with pytest.raises(StudyError, match="turns: nothing that is asked can be measured"):
+        run(bank, targets={"drag": 0.4}, turns=2)
+    with pytest.raises(StudyError, match=r"measured: 'own\.height': expected one of own\.length"):
+        run(bank, targets={"length": 2.5}, measures={"own": Broken()}, measured={"length": "own.height"}, turns=1)
+
+
+def test_units_of_measures_are_brought_over():
+    bank = small.bank(small.boxes(unit="mm", scale=1000.0), decoder="blunt", plugins=PLUGINS)
+    asked = {"targets": {"length": 3200.0}, "measured": {"length": "extents.length"}, "turns": 5}
+    assert run(bank, **asked).design.mesh.extents[0] == pytest.approx(3200.0, abs=0.1)
+
+
+def test_workers_and_records_have_the_same(bank, tmp_path):
+    study = Study(bank, targets={"width": 1.2}, turns=3)
+    grid = {"length": [2.1, 2.5, 3.1]}
+    alone = list(lampopt.sweep(study, grid, tmp_path / "a", report=False, plugins=PLUGINS))
+    with ThreadPoolExecutor(2) as pool:
+        together = list(lampopt.sweep(study, grid, tmp_path / "b", executor=pool, report=False, plugins=PLUGINS))
+    for one, other in zip(alone, together, strict=True):
+        assert one.design.mix.alpha.tolist() == other.design.mix.alpha.tolist()
+        assert one.provenance == other.provenance
+        assert [c.value for c in one.checks] == [c.value for c in other.checks]
+    again = list(lampopt.results(tmp_path / "a", plugins=PLUGINS))
+    assert [r.provenance for r in again] == [r.provenance for r in alone]
+    assert [r.design.mesh.extents[0] for r in again] == pytest.approx([2.1, 2.5, 3.1], abs=1e-3)
+
+
+def test_turns_are_another_design(bank, tmp_path):
+    run(bank, folder=tmp_path, targets={"length": 3.0})
+    before = small.CALLS["decode"]
+    result = run(bank, folder=tmp_path, targets={"length": 3.0}, turns=3)
+    assert result.provenance["turns"] > 0
+    assert toys.Size is not None
+    assert small.CALLS["decode"] >= before

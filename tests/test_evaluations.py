@@ -1,0 +1,96 @@
+"""What a search evaluates is kept, so that one that was stopped goes on where it was."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampopt
+from lampopt import Maximise, Study
+from lampopt.evaluations import FILE, Memory, evaluations
+from lampopt.reporting.gather import evaluations as steps
+
+sys.path.insert(0, str(Path(__file__).parent))
+import small
+import toys
+from test_wishes import PLUGINS
+
+ASKED = {"targets": {"volume": 3.0}, "ranges": {"width": (1.0, 1.25)}, "measures": {"own": toys.Volume()}}
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    return small.bank(decoder="pulled", plugins=PLUGINS, store=tmp_path_factory.mktemp("bank") / "a.lamp")
+
+
+def run(bank, folder, report=False, **asked):
+    return lampopt.run(Study(bank, **{**ASKED, "solver": "casadi", **asked}), folder, report=report, plugins=PLUGINS)
+
+
+def test_what_is_told_is_known_again(tmp_path):
+    memory = Memory.at(tmp_path, "a")
+    alpha = np.array([0.1, 0.2, 0.7])
+    memory.tell("volume", alpha, 3.5, alpha * 2)
+    memory.tell("mass", alpha, float("nan"), None)
+    Memory.at(tmp_path, "b").tell("volume", alpha, 9.0, None)
+    again = Memory.at(tmp_path, "a")
+    value, gradient = again.known("volume")[alpha.tobytes()]
+    assert (value, gradient.tolist()) == (3.5, [0.2, 0.4, 1.4])
+    assert np.isnan(again.known("mass")[alpha.tobytes()][0])
+    assert [one.design for one in evaluations(tmp_path)] == ["a", "a", "b"]
+
+
+@pytest.mark.parametrize(
+    "odd", [b"{}", b"[1, 2]", b"null", b"[" * 5000, b'["a","v","zz",1,null,1]', b"\xff\xfe", b'["a","v","00",1,null,1]']
+)
+def test_lines_that_are_none_are_left_out(tmp_path, odd):
+    memory = Memory.at(tmp_path, "a")
+    memory.tell("volume", np.ones(2), 1.0, None)
+    with (tmp_path / FILE).open("ab") as file:
+        file.write(odd)  # a kill cut it short: no newline
+    memory.tell("volume", np.zeros(2), 2.0, None)
+    assert [one.value for one in evaluations(tmp_path)] == [1.0, 2.0]
+
+
+def test_a_search_that_was_stopped_goes_on(bank, tmp_path, monkeypatch):
+    whole = run(bank, tmp_path / "whole")
+    decoded = len({one.alpha.tobytes() for one in evaluations(tmp_path / "whole")})
+    assert decoded > 4
+    real, count = toys.Volume.__call__, [0]
+
+    def stopped(self, mesh):
+        count[0] += 1
+        if count[0] == 4:
+            raise KeyboardInterrupt
+        return real(self, mesh)
+
+    monkeypatch.setattr(toys.Volume, "__call__", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run(bank, tmp_path / "cut")
+    before = [one.alpha.tobytes() for one in evaluations(tmp_path / "cut")]
+    assert 0 < len(before) < decoded
+    again = run(bank, tmp_path / "cut")
+    after = [one.alpha.tobytes() for one in evaluations(tmp_path / "cut")]
+    assert again.design.mix.alpha.tolist() == whole.design.mix.alpha.tolist()
+    assert after[: len(before)] == before
+    assert len(after) == len(set(after)) == decoded  # nothing twice
+
+
+def test_the_report_shows_how_it_converged(bank, tmp_path):
+    run(bank, tmp_path, report=True)
+    found = steps(tmp_path, Study(bank, **ASKED))
+    assert [one.number for one in found] == [*range(1, len(found) + 1)]
+    assert found[-1].value < 1e-3 < found[0].value
+    assert all(one.seconds >= 0 for one in found)
+    assert 'id="convergence"' in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_is_maximised_is_sought_from_above(tmp_path):
+    memory = Memory.at(tmp_path, "a")
+    memory.tell("own.volume", np.ones(2), 1.5, None)
+    memory.tell("own.length", np.ones(2), 9.0, None)
+    study = Study("a.lamp", objective=Maximise("volume"), ranges={"own.length": (1.0, 8.0)})
+    (step,) = steps(tmp_path, study)
+    assert (step.value, step.violation) == (-1.5, 1.0)
+    assert not step.feasible
