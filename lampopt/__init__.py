@@ -1,5 +1,6 @@
 """lampopt: parameter-controlled shapes from a few dozen exemplars."""
 
+from lampopt.asktell import AskTell, Candidate
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
@@ -19,11 +20,14 @@ from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.motion import Sensitivities, sensitivities, template_of, warp
 from lampopt.recommend import Compared, Comparison
 from lampopt.residuals import Residual, residuals
+from lampopt.response import Response
 from lampopt.study import Study
 from lampopt.types import Bank, Check, Design, Exemplars, Frame, Mix, Parameter, Problem, Result, Spec
 
 __all__ = [
+    "AskTell",
     "Bank",
+    "Candidate",
     "Check",
     "Compared",
     "Comparison",
@@ -42,6 +46,7 @@ __all__ = [
     "Reduce",
     "Reduction",
     "Residual",
+    "Response",
     "Result",
     "SafeInterval",
     "Sensitivities",

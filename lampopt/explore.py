@@ -171,7 +171,7 @@ def explore(
     mix = solve(posed, task.solver)
     result = task.judge(target, posed, mix)
     free, sizes = _free(task.bank, posed)
-    slopes = _by_target(posed, target, task.solver)
+    slopes = slopes_by_target(posed, target, task.solver)
 
     def make(alpha: Array) -> Design:
         return task.designer(target, Mix(alpha, mix.residual, mix.status, mix.message, mix.conflicts))
@@ -291,7 +291,7 @@ def _free(bank: Bank, posed: Posed) -> tuple[Array, Array]:
     return posed.spread_out(directions), sizes / bank.frame.scale
 
 
-def _by_target(posed: Posed, target: dict[str, float], solver: Solver) -> Array:
+def slopes_by_target(posed: Posed, target: dict[str, float], solver: Solver) -> Array:
     """(N, k) d(alpha)/d(target) by central differences: exact where alpha is affine in targets, or quadratic."""
     if not posed.rows:
         return np.zeros((posed.size, 0))

@@ -17,6 +17,7 @@ from lampopt.reading import brief
 from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem
 
 MET = "every target is met"
+GIVES = 1e-6  # what gives less [normalised] is not told to give
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,16 +276,17 @@ def explain(posed: Posed, mix: Mix) -> str:
     """The status in plain words: for a conflict, what would agree, and what has to give least alone."""
     if not mix.conflicts:
         return mix.message
-    return "; ".join([mix.message, *(_nearest(posed, conflict) for conflict in mix.conflicts)])
+    told = [_nearest(posed, conflict) for conflict in mix.conflicts]
+    return "; ".join([mix.message, *(text for text in told if text)])
 
 
 def _nearest(posed: Posed, conflict: Conflict) -> str:
-    parts = zip(conflict.names, conflict.amounts, strict=True)
-    said = f"{', '.join(_moved(posed, name, amount) for name, amount in parts)} would agree"
-    if (culprit := conflict.culprit) is None or len(conflict.names) == 1:
-        return said
-    alone = float(conflict.alone[conflict.names.index(culprit)])
-    return f"{said}; {_moved(posed, culprit, alone)} alone would be enough"
+    parts = [(n, a) for n, a in zip(conflict.names, conflict.amounts, strict=True) if abs(a) > GIVES]
+    said = [f"{', '.join(_moved(posed, name, amount) for name, amount in parts)} would agree"] if parts else []
+    if (culprit := conflict.culprit) is not None and (len(conflict.names) > 1 or not parts):
+        alone = float(conflict.alone[conflict.names.index(culprit)])
+        said.append(f"{_moved(posed, culprit, alone)} alone would be enough")
+    return "; ".join(said)
 
 
 def _moved(posed: Posed, name: str, amount: float) -> str:

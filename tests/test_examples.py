@@ -1,7 +1,10 @@
 """Every example runs, top to bottom, in a folder of its own; the slow decoder is replaced by a quick one."""
 
+import importlib.util
 import json
+import math
 import os
+import re
 import sqlite3
 import subprocess
 import sys
@@ -13,6 +16,8 @@ import trimesh
 import lampopt
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
+JUDGE = EXAMPLES.parent.parent / "shared" / "judge"
+CARS = JUDGE.parent / "data" / "cars"
 SLOW, QUICK = '"mesh-template"', 'lampopt.Spec("gridsdf", size=25)'
 
 
@@ -21,7 +26,8 @@ def run(script, folder, *arguments):
     text = (EXAMPLES / script).read_text(encoding="utf-8")
     copy = folder / script
     copy.write_text(text.replace(f"decoder={SLOW}", f"decoder={QUICK}"), encoding="utf-8")
-    environment = {**os.environ, "PYTHONPATH": str(EXAMPLES), "COLUMNS": "120"}
+    path = [str(EXAMPLES), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path), "COLUMNS": "120"}
     command = [sys.executable, "-W", "error", str(copy), *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
@@ -84,6 +90,78 @@ def test_measure_and_learn(tmp_path):
     (line,) = [line for line in said.splitlines() if line.startswith("model")]
     predicted, true = line.removeprefix("model [[").split("]] true [[")
     assert float(predicted) == pytest.approx(float(true.removesuffix("]]")), abs=0.005)
+
+
+@pytest.mark.skipif(not ((JUDGE / "judge.py").exists() and CARS.exists()), reason=f"the judge is not at {JUDGE}")
+def test_drag_reduction(tmp_path):
+    said = run("drag_reduction.py", tmp_path, "out", str(JUDGE))
+    assert "asked        drag -10.00 %, held length, width, greenhouse" in said
+    lines = re.findall(r"^(?:open|closed) loop +drag +(\S+) %, length (\S+) mm, width (\S+) mm", said, re.MULTILINE)
+    (before, _, _), (change, length, width) = (map(float, line) for line in lines)
+    assert change == pytest.approx(-10, abs=1)
+    assert abs(change + 10) < abs(before + 10)
+    assert max(abs(length), abs(width)) < 20  # mm: the ranges are 600 and 300 wide
+    (design,) = (tmp_path / "out" / "run" / "designs").iterdir()
+    assert trimesh.load_mesh(design / "mesh.stl").is_watertight
+    passport = json.loads((design / "passport.json").read_text(encoding="utf-8"))
+    assert "measured.drag" in {check["name"] for check in passport["checks"]}
+    assert (tmp_path / "out" / "run" / "report.html").exists()
+
+
+def test_drag_reduction_says_where_the_judge_is_not(tmp_path):
+    command = [sys.executable, str(EXAMPLES / "drag_reduction.py"), "out", str(tmp_path)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2
+    assert f"{tmp_path / 'judge.py'} is not there" in done.stderr
+    assert not done.stdout
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def component(tmp_path_factory):
+    """The OpenMDAO component of the example, and what the example prints; its bank is kept."""
+    pytest.importorskip("openmdao", reason="the extra openmdao is not installed: pip install 'lampopt[openmdao]'")
+    folder = tmp_path_factory.mktemp("openmdao")
+    said = run("openmdao_component.py", folder, "out")
+    spec = importlib.util.spec_from_file_location("openmdao_component", EXAMPLES / "openmdao_component.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module, lampopt.load_bank(folder / "out" / "plate.lamp"), said
+
+
+def test_openmdao_finds_the_widest_hole(component):
+    said = dict(line.split() for line in component[2].splitlines())
+    widest = math.sqrt((2.6 * 1.7 * 0.25 - 1.06) / (math.pi * 0.25))
+    assert float(said["length"]) == pytest.approx(2.6)
+    assert float(said["volume_volume"]) == pytest.approx(1.06, abs=1e-3)
+    assert float(said["plate_hole_radius"]) == pytest.approx(widest, abs=0.002)
+
+
+@pytest.mark.parametrize("values", [["plate.hole_radius", "volume.volume"], ["extents.length", "area.area"]])
+def test_openmdao_partials(component, values):
+    module, bank, _ = component
+    om = module.om
+    study = lampopt.Study(bank, targets={"length": "2600 mm", "hole_radius": 0.21}, keep=("width", "thickness"))
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("plate", module.LampoptComponent(study=study, values=values))
+    problem.setup()
+    problem.run_model()
+    assert problem.get_val("plate.length", units="mm").item() == pytest.approx(2600)
+    (found,) = problem.check_partials(out_stream=None, step=1e-3, form="central").values()
+    assert len(found) == 4
+    for (value, target), pair in found.items():
+        assert pair["J_fwd"].item() == pytest.approx(pair["J_fd"].item(), rel=1e-3, abs=1e-3), (value, target)
+
+
+def test_openmdao_is_told_of_designs_that_cannot_be_measured(component):
+    module, bank, _ = component
+    problem = module.om.Problem(reports=False)
+    study = lampopt.Study(bank, targets={"length": 2.5})
+    problem.model.add_subsystem("plate", module.LampoptComponent(study=study, values=["plate.hole_radius"]))
+    problem.setup()
+    problem.set_val("plate.length", -3.0)
+    with pytest.raises(module.om.AnalysisError, match=r"plate\.hole_radius: this design has none"):
+        problem.run_model()
 
 
 def test_every_example_is_tested():

@@ -82,6 +82,7 @@ def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside)
     def limits():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
+    threads._libraries.cache_clear()  # other tests may have loaded more libraries since
     inside, real = [], kkt._solve
     monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(limits()) or real(*args))
     with threadpool_limits(outside, "blas"):

@@ -234,6 +234,14 @@ def test_ridge_norm_and_bounds_reach_the_solver(bank):
     assert "bounds on alpha" in inside.design.mix.conflicts[0].names
 
 
+def test_bounds_that_leave_nothing_are_told_by_how_much(bank):
+    result = run(bank, targets={"length": 2.5}, alpha=(-1.0, 0.1))
+    assert result.design.mix.status == "infeasible"
+    assert "bounds on alpha wider by 0.04" in result.design.mix.message  # 1/7 − 0.1, and what the length asks besides
+    assert "; ; " not in result.design.mix.message
+    assert "→ " not in result.design.mix.message
+
+
 def test_with_a_reference_and_one_parameter_asked_the_others_stay(bank):
     for solver in ("kkt", "casadi"):
         result = run(bank, targets={"length": 2.9}, reference="box_1", solver=solver)

@@ -137,7 +137,8 @@ class Conflict:
     names
         Rows, ranges, terms, or `BOUNDS`.
     amounts
-        Added to their targets or limits, the least change of all together that makes them agree.
+        Added to their targets or limits, the least change of all together that makes them agree: by the sum of
+        squares where all is linear, by the sum of sizes where a term is among them, so that few give.
     alone
         What each would have to give alone, all else that is asked kept; infinite where that is of no use. By default
         not known: NaN.
