@@ -86,8 +86,10 @@ def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside)
     inside, real = [], kkt._solve
     monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(limits()) or real(*args))
     with threadpool_limits(outside, "blas"):
+        before = limits()  # a library may have been built for one thread
         KKT().solve(problem())
-        assert limits() == {outside}
+        assert limits() == before
+        assert outside in before
     assert inside == [{1}]
 
 
