@@ -166,7 +166,8 @@ def explore(
     if not isinstance(study, Study):
         raise StudyError(f"study: expected a Study, got {said(study):.80}; read one with Study.read(path)")
     task = Task.of(replace(study, level=level), plugins)
-    task.refuse_turns_and_terms("explore", task.asked({}))
+    task.refuse_corrections("explore")
+    task.refuse_terms("explore", task.asked({}))
     target = task.asked({})
     posed = task.posed(target)
     mix = solve(posed, task.solver)

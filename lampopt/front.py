@@ -6,60 +6,22 @@ nearer to the centre only by missing more of what is asked: a front, from one de
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
 
 import numpy as np
 
-from lampopt.errors import InputError, StudyError
+from lampopt.compromise import MOST, Asked, numbers, ridges_of, whole_number
+from lampopt.errors import StudyError
 from lampopt.goals import Reduce
 from lampopt.pareto import knee, pareto
 from lampopt.plugins import Plugins
 from lampopt.protocols import Progress
-from lampopt.solve import Posed, column, solve, solve_path
 from lampopt.study import Study
 from lampopt.task import Task
-from lampopt.types import LEVELS, Array, Design, Mix, MixBatch, Needs, Problem, Result, Status
+from lampopt.types import Array, Design, Needs, Result, Status
 from lampopt.types.arrays import Table, assign, frozen_array
-from lampopt.units import number, said, whole
-
-MOST = 20_000  # mixes of a front
-NEAR = 1e-3  # of the least squared singular value: the first ridge after 0 takes this part of the way at most
-FAR = 1e-6  # of the way is left at the last ridge
-RANK = 1e-10  # singular values of what may give way below this part of the rows' size count as zero
-
-
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """What one front asks, and how its mixes become designs."""
-
-    task: Task
-    target: dict[str, float]
-    posed: Posed
-
-    def path(self, ridges: Array) -> MixBatch:
-        """The mixes for all ridges (B,)."""
-        targets = np.tile(self.posed.problem.target, (len(ridges), 1))
-        return solve_path(self.posed, targets, ridges, self.task.solver)
-
-    def mix(self, ridge: float, alpha: Array) -> Mix:
-        """One of them with what the solver says of it."""
-        problem = replace(self.posed.problem, ridge=float(ridge))
-        found = solve(replace(self.posed, problem=problem), self.task.solver)
-        residual = problem.matrix @ alpha[self.posed.active] - problem.target
-        return Mix(alpha, residual, found.status, found.message, found.conflicts)
-
-    def design(self, ridge: float, alpha: Array) -> Design:
-        """The design of one of them, not judged."""
-        return self.task.designer(self.target, self.mix(ridge, alpha))
-
-    def result(self, ridge: float, alpha: Array, level: Needs | None) -> Result:
-        """The same, judged up to `level`, by default the study's."""
-        if level is not None and level not in LEVELS:
-            raise StudyError(f"level: expected one of {', '.join(LEVELS)}, got {said(level)}")
-        task = replace(self.task, study=replace(self.task.study, level=level or self.task.study.level))
-        return task.judge(self.target, self.posed, self.mix(ridge, alpha))
+from lampopt.units import said
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,27 +60,29 @@ class Reduction:
     alpha: Array
     predicted: Array
     efficient: Array
-    _asked: tuple[_Asked, ...] = field(repr=False)
+    _asked: tuple[Asked, ...] = field(repr=False)
 
     def __post_init__(self) -> None:
         count = len(self.status)
-        for name in ("by", "ridge", "error", "distance", "value"):
+        for name in ("by", "ridge", "distance"):
             assign(self, **{name: frozen_array(getattr(self, name), name, (count,))})
+        for name in ("error", "value"):
+            assign(self, **{name: frozen_array(getattr(self, name), name, (count,), nan=True)})
         for name in ("alpha", "predicted"):
             assign(self, **{name: frozen_array(getattr(self, name), name, (count, None))})
         assign(self, efficient=frozen_array(self.efficient, "efficient", (count,), bool))
 
     def design(self, number: int) -> Design:
         """The design of one mix, by its number from 0; not judged. StudyError if there is none."""
-        i = _whole(number, "number", 0, len(self.status) - 1)
-        return self._of(i).design(self.ridge[i], self.alpha[i])
+        i = whole_number(number, "number", 0, len(self.status) - 1)
+        return self._of(i).design(self.ridge[i], self.alpha[i], self.status[i])
 
     def result(self, number: int, level: Needs | None = None) -> Result:
         """The same, judged up to `level`, by default the study's."""
-        i = _whole(number, "number", 0, len(self.status) - 1)
-        return self._of(i).result(self.ridge[i], self.alpha[i], level)
+        i = whole_number(number, "number", 0, len(self.status) - 1)
+        return self._of(i).result(self.ridge[i], self.alpha[i], self.status[i], level)
 
-    def _of(self, i: int) -> _Asked:
+    def _of(self, i: int) -> Asked:
         return self._asked[i * len(self._asked) // len(self.status)]
 
 
@@ -163,28 +127,31 @@ class Front:
     status: tuple[Status, ...]
     knee: int
     reduction: Reduction | None
-    _asked: _Asked = field(repr=False)
+    _asked: Asked = field(repr=False)
 
     def __post_init__(self) -> None:
         count = len(self.status)
         assign(self, target=Table(self.target))
-        for name in ("ridge", "error", "worst", "distance"):
+        for name in ("ridge", "distance"):
             assign(self, **{name: frozen_array(getattr(self, name), name, (count,))})
-        for name in ("alpha", "predicted", "reached"):
+        for name in ("error", "worst"):
+            assign(self, **{name: frozen_array(getattr(self, name), name, (count,), nan=True)})
+        for name in ("alpha", "predicted"):
             assign(self, **{name: frozen_array(getattr(self, name), name, (count, None))})
+        assign(self, reached=frozen_array(self.reached, "reached", (count, None), nan=True))
 
     def __len__(self) -> int:
         return len(self.status)
 
     def design(self, number: int) -> Design:
         """The design of one mix, by its number from 0; not judged. StudyError if there is none."""
-        i = _whole(number, "number", 0, len(self) - 1)
-        return self._asked.design(self.ridge[i], self.alpha[i])
+        i = whole_number(number, "number", 0, len(self) - 1)
+        return self._asked.design(self.ridge[i], self.alpha[i], self.status[i])
 
     def result(self, number: int, level: Needs | None = None) -> Result:
         """The same, judged up to `level`, by default the study's: how safe it is where the front has it."""
-        i = _whole(number, "number", 0, len(self) - 1)
-        return self._asked.result(self.ridge[i], self.alpha[i], level)
+        i = whole_number(number, "number", 0, len(self) - 1)
+        return self._asked.result(self.ridge[i], self.alpha[i], self.status[i], level)
 
     def svg(self) -> str:
         """A picture: error over distance, and beside it the label over distance where there is a reduction."""
@@ -232,77 +199,62 @@ def front(
         _fractions(study, reduce),
         progress or (lambda done, message="": None),
     )
-    task.refuse_turns_and_terms("front", task.asked({}))
-    asked = _asked(task)
-    given = _ridges(ridges, asked.posed.problem)
+    task.refuse_corrections("front")
+    asked = Asked.of(task)
+    given = ridges_of(ridges, asked)
     if (1 + len(fractions)) * len(given) > MOST:
         raise StudyError(f"ridges: expected at most {MOST:,} mixes in all, got {(1 + len(fractions)) * len(given):,}")
     tell(0.0, f"{len(given)} ridges")
     batch = asked.path(given)
-    problem, alpha = asked.posed.problem, batch.alpha
-    error, distance = _error(problem, batch.residual), _distance(asked.posed, alpha)
-    solved = np.array([status != "failed" for status in batch.status])
-    at = np.flatnonzero(solved | ~solved.any())
+    alpha, reached = batch.alpha, asked.reached(batch.alpha)
+    off, distance = asked.off(reached), asked.distance(alpha)
+    error = asked.error(off)
+    known = _solved(batch.status) & np.isfinite(error)
+    at = np.flatnonzero(known) if known.any() else np.zeros(1, int)
+    points = np.column_stack([distance, np.nan_to_num(error)])[at]
     return Front(
         target=asked.target,
-        units=tuple(row.unit for row in asked.posed.rows),
+        units=tuple(task.wishes.quantities[name].unit for name in asked.target),
         ridge=given,
         error=error,
-        worst=np.abs(batch.residual).max(1, initial=0.0),
+        worst=np.abs(off).max(1),
         distance=distance,
         alpha=alpha,
         predicted=alpha @ task.bank.parameters,
-        reached=_reached(asked.posed, alpha),
+        reached=reached,
         status=batch.status,
-        knee=int(at[knee(np.column_stack([distance, error])[at])]),
+        knee=int(at[knee(points)]),
         reduction=_reduction(task, fractions, given, tell) if fractions else None,
         _asked=asked,
     )
 
 
-def _asked(task: Task) -> _Asked:
-    target = task.asked({})
-    return _Asked(task, target, task.posed(target))
-
-
-def _error(problem: Problem, residual: Array, but: str | None = None) -> Array:
-    """(B,) of residuals (B, k), those of the target called `but` left out."""
-    counted = np.array([name != but for name in problem.names], bool)
-    return np.asarray(np.sqrt(residual[:, counted] ** 2 @ problem.weight[counted]))
-
-
-def _distance(posed: Posed, alpha: Array) -> Array:
-    return np.asarray(np.linalg.norm(alpha - posed.centre(), axis=1))
-
-
-def _reached(posed: Posed, alpha: Array) -> Array:
-    rows = np.array([row.values[posed.active] for row in posed.rows]).reshape(len(posed.rows), len(posed.active))
-    return np.asarray(alpha[:, posed.active] @ rows.T)
+def _solved(status: Sequence[Status]) -> Array:
+    return np.array([one != "failed" for one in status])
 
 
 def _reduction(task: Task, fractions: Sequence[float], ridges: Array, tell: Progress) -> Reduction:
     objective = task.study.objective
-    assert objective is not None  # told by _fractions
-    name, reference = objective.name, task.bank.names.index(str(task.study.reference))
-    found = column(task.bank, name)
-    before = float(found.values[reference])
+    assert isinstance(objective, Reduce)  # told by _fractions
+    name = objective.name
+    before = task.wishes.quantities.at(name, task.study.reference)
     if before == 0:
         raise StudyError(f"reduce: {name!r} is 0 at the reference, of which there are no fractions")
     asked, batches = [], []
     for done, by in enumerate(fractions, 1):
         tell(done / (1 + len(fractions)), f"{name} by {by:g}")
-        asked.append(_asked(replace(task, study=replace(task.study, objective=Reduce(name, by)))))
+        asked.append(Asked.of(replace(task, study=replace(task.study, objective=Reduce(name, by)))))
         batches.append(asked[-1].path(ridges))
-    posed, alpha = asked[0].posed, np.concatenate([batch.alpha for batch in batches])
-    error = _error(posed.problem, np.concatenate([batch.residual for batch in batches]), but=name)
-    distance, status = _distance(posed, alpha), tuple(s for batch in batches for s in batch.status)
-    value = _reached(posed, alpha)[:, posed.problem.names.index(name)]
-    solved = np.flatnonzero([s != "failed" for s in status])
-    efficient = np.zeros(len(status), bool)
-    efficient[solved] = pareto(np.column_stack([error, distance, value / before])[solved])
+    reached = [one.reached(batch.alpha) for one, batch in zip(asked, batches, strict=True)]
+    errors = [one.error(one.off(values), but=name) for one, values in zip(asked, reached, strict=True)]
+    alpha, error = np.concatenate([batch.alpha for batch in batches]), np.concatenate(errors)
+    distance, status = asked[0].distance(alpha), tuple(s for batch in batches for s in batch.status)
+    value = np.concatenate(reached)[:, [*asked[0].target].index(name)]
+    points = np.column_stack([error, distance, value / before])
+    points[~_solved(status)] = np.nan  # which is on no front
     return Reduction(
         name=name,
-        unit=found.unit,
+        unit=task.wishes.quantities[name].unit,
         before=before,
         by=np.repeat(fractions, len(ridges)),
         ridge=np.tile(ridges, len(fractions)),
@@ -312,64 +264,15 @@ def _reduction(task: Task, fractions: Sequence[float], ridges: Array, tell: Prog
         value=value,
         alpha=alpha,
         predicted=alpha @ task.bank.parameters,
-        efficient=efficient,
+        efficient=pareto(points),
         _asked=tuple(asked),
     )
 
 
-def _ridges(given: int | Sequence[float], problem: Problem) -> Array:
-    """(B,) as given, growing; or so many, from 0 to the centre."""
-    low, high = _span(problem)
-    if isinstance(given, Iterable):
-        found = _numbers(given, "ridges", "expected how many, or numbers of at least 0")
-        if not found or found[0] < 0:
-            raise StudyError(f"ridges: expected how many, or numbers of at least 0, got {said(given):.80}")
-        return np.array(found)
-    count = _whole(given, "ridges", 2, MOST)
-    return np.append(0.0, np.geomspace(high, low, count - 1)[::-1])
-
-
-def _span(problem: Problem) -> tuple[float, float]:
-    """The ridges between which the front is: what may give way has strengths s, and moves s² / (s² + ridge) of its way.
-
-    StudyError where nothing may give way.
-    """
-    exact = np.vstack([np.ones(len(problem.centre)), problem.matrix[problem.hard]])
-    _, size, held = np.linalg.svd(exact, full_matrices=False)
-    held = held[size > RANK * size.max()]
-    rows = np.sqrt(problem.weight[~problem.hard])[:, None] * problem.matrix[~problem.hard]
-    strengths = np.linalg.svd(rows - rows @ held.T @ held, compute_uv=False)
-    strengths = strengths[strengths > RANK * np.linalg.norm(rows)]
-    if not len(strengths):
-        raise StudyError("front: expected targets that may be missed, got none: without them there is no compromise")
-    return NEAR * float(strengths.min()) ** 2, float(strengths.max()) ** 2 / FAR
-
-
 def _fractions(study: Study, given: Sequence[float]) -> list[float]:
-    found = _numbers(given, "reduce", "expected fractions below 1, such as 0.10")
+    found = numbers(given, "reduce", "expected fractions below 1, such as 0.10")
     if found and not isinstance(study.objective, Reduce):
         raise StudyError("reduce: expected a study with an objective, Reduce(name, by=...), got one without")
     if found and not -10 < min(found) <= max(found) < 1:
         raise StudyError(f"reduce: expected fractions below 1, such as 0.10, got {said(given):.80}")
     return found
-
-
-def _numbers(given: object, what: str, expected: str) -> list[float]:
-    """Finite numbers, growing, none twice."""
-    wrong = f"{what}: {expected}, got {said(given):.80}"
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise StudyError(wrong)
-    values: list[object] = [*given]
-    if not all(isinstance(value, Real) for value in values):
-        raise StudyError(wrong)
-    try:
-        return sorted({number(value, "", what) for value in values})  # type: ignore[arg-type]  # told just now
-    except InputError as error:
-        raise StudyError(wrong) from error
-
-
-def _whole(given: object, what: str, least: int, most: int) -> int:
-    try:
-        return whole(given, what, least, most)
-    except InputError as error:
-        raise StudyError(str(error)) from error

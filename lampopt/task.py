@@ -139,10 +139,13 @@ class Task:
         measured = any(self.wishes.quantities[name].measure is not None for name in {*self._named, *target})
         return bool(self.study.turns or "mismatch" in self.study.safe or measured)
 
-    def refuse_turns_and_terms(self, who: str, target: Mapping[str, float]) -> None:
-        """Raise StudyError where `who`, which knows linear targets only, is given others, or corrections."""
+    def refuse_corrections(self, who: str) -> None:
+        """Raise StudyError where `who`, which looks at what is asked only, is given corrections."""
         if self.study.turns or self.study.measured:
             raise StudyError(f"{who}: looks at what is asked, not at what is measured: leave turns and measured out")
+
+    def refuse_terms(self, who: str, target: Mapping[str, float]) -> None:
+        """Raise StudyError where `who`, which knows linear targets only, is given others."""
         bent = [name for name in {*self._named, *target} if self.wishes.quantities[name].column is None]
         if bent or isinstance(self.study.objective, Minimise):
             what = ", ".join(sorted(bent)) or f"an objective that is {self.study.objective}"

@@ -242,3 +242,26 @@ def test_a_reading_is_calibrated_on_exemplars():
     assert reading(asked)[:3] == pytest.approx([5993, 1.5, 3.7], rel=1e-5)
     flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     assert np.isnan(reading(flat)).all()
+
+
+def test_answers_of_the_solvers_benchmark_are_right_and_found(tmp_path, capsys):
+    """Two independent answers to one problem agree; a quick run of kkt meets all that is wanted."""
+    answers = importlib.import_module("benchmarks.solver_answers")
+    problems = importlib.import_module("benchmarks.solver_problems")
+    p, answer, _ = problems.some_hard(0, 12)
+    assert answers.convex(p) == pytest.approx(answer, abs=1e-6)
+    p, answer, _ = problems.still(1, 12)
+    assert p.still @ answer == pytest.approx(p.still @ p.centre)
+    assert p.matrix @ answer == pytest.approx(p.target)
+    p, answer, _ = problems.exponential(0, 12)
+    gradient = 2 * p.ridge * (answer - p.centre) + p.objectives[0](answer)[1]
+    assert gradient == pytest.approx(np.full(12, gradient.mean()), abs=1e-9)
+    out = tmp_path / "solvers.json"
+    run = importlib.import_module("benchmarks.solvers").main
+    assert run(["--sizes", "12", "--seeds", "1", "--only", "kkt", "--out", str(out)]) == 0
+    document = json.loads(out.read_text(encoding="utf-8"))
+    assert json.loads(capsys.readouterr().out) == document
+    rows = {row["name"]: row for row in document["tables"]["kkt"]["rows"]}
+    assert rows["still rows, N = 12"]["value"] < 1e-9
+    assert rows["culprit named, targets alone"]["value"] == 1
+    assert not any("bounds" in name for name in rows)

@@ -62,6 +62,7 @@ LAYERS = (
     {"crew"},
     {"workers"},
     {"reporting"},
+    {"compromise"},
     {"asktell", "explore", "front", "motion"},
     {"response"},
     {"loop"},

@@ -15,6 +15,7 @@ from lampopt import cli, front
 from lampopt.errors import StudyError
 from lampopt.pareto import knee
 from lampopt.plugins import Plugins
+from lampopt.reporting.fronts import picture
 from lampopt.types import MixBatch
 
 HERE = Path(__file__).parent
@@ -36,8 +37,40 @@ class Lazy(toys.KKT):
         return MixBatch(alpha, alpha @ p.matrix.T - targets, tuple(np.where(lost, "failed", found.status).tolist()))
 
 
+@dataclass(frozen=True)
+class Pulled(small.Stretch):
+    """Stretches a box by its extents; gradients exact."""
+
+    def pullback(self, shared, weights, mesh, gradient):
+        own = (np.asarray(mesh.vertices) - weights[3:]) / weights[:3]
+        return np.append((gradient * own).sum(0), gradient.sum(0))
+
+
+@dataclass(frozen=True)
+class Aero:
+    """Model: a bowl over length and width, least at (2.55, 1.15), and their product."""
+
+    names, units, inputs = ("bowl", "lift"), ("N", "kg"), ("length", "width")
+
+    def __call__(self, parameters):
+        a, b = np.asarray(parameters).T
+        return np.stack([(a - 2.55) ** 2 + 4 * (b - 1.15) ** 2 + 0.3, a * b], 1)
+
+    def gradient(self, parameters):
+        a, b = np.asarray(parameters).T
+        return np.stack([np.stack([2 * (a - 2.55), 8 * (b - 1.15)], 1), np.stack([b, a], 1)], 1)
+
+
 class More:
     """A plugin with what these tests need besides."""
+
+    @lampopt.hookimpl
+    def lampopt_decoders(self):
+        return {"pulled": Pulled}
+
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"mine": toys.Volume}
 
     @lampopt.hookimpl
     def lampopt_solvers(self):
@@ -236,6 +269,75 @@ def test_mixes_that_a_solver_gave_up_are_no_knee(boxes):
     assert whole.status[0] == "exact"
 
 
+# what is not linear, and other wishes
+
+
+def test_a_models_value_may_be_asked(boxes):
+    asked = study(boxes, targets={"lift": 5.0, "width": 1.5}, models={"aero": Aero()}, solver="casadi")
+    seen = found(asked, ridges=12)
+    assert (tuple(seen.target), seen.units) == (("lift", "width"), ("kg", "m"))
+    assert seen.reached[:, 0] == pytest.approx(seen.predicted.prod(1))
+    assert seen.reached[0] == pytest.approx([5.0, 1.5], abs=1e-5)
+    assert seen.predicted[-1] == pytest.approx([2.5, 1.2], abs=1e-4)
+    lifts = boxes.parameters.prod(1)
+    off = 2 * (seen.reached - [5.0, 1.5]) / [np.ptp(lifts), 0.4]
+    assert seen.error == pytest.approx(np.linalg.norm(off, axis=1))
+    assert (np.diff(seen.error) >= -1e-6).all()
+    assert (np.diff(seen.distance) <= 1e-6).all()
+    run = lampopt.run(replace(asked, ridge=float(seen.ridge[4]), level="alpha"), plugins=PLUGINS)
+    assert seen.alpha[4] == pytest.approx(run.design.mix.alpha, abs=1e-6)
+    judged = seen.result(4, "alpha")
+    assert judged.check("target.lift").value == pytest.approx(abs(off[4, 0]))
+    assert "ridge" in judged.design.mix.message
+
+
+def test_a_models_value_may_be_lowered(boxes):
+    wish = lampopt.Reduce("bowl", by=0.1)
+    asked = lowering(boxes, targets={}, objective=wish, models={"aero": Aero()}, solver="casadi")
+    more = found(asked, ridges=4, reduce=[0.0, 0.1]).reduction
+    before = float(Aero()(boxes.parameters[:1])[0, 0])
+    assert (more.name, more.unit, more.before) == ("bowl", "N", before)
+    assert more.value == pytest.approx(Aero()(more.predicted)[:, 0])
+    assert more.value[[0, 4]] == pytest.approx([before, 0.9 * before], abs=1e-5)
+
+
+def test_a_measured_value_may_be_asked(boxes):
+    bank = small.bank(decoder="pulled", plugins=PLUGINS)
+    seen = found(study(bank, targets={"mine.volume": 4.0}, solver="casadi"), ridges=4)
+    assert seen.reached[0, 0] == pytest.approx(4.0, abs=1e-3)
+    assert seen.reached[:, 0] == pytest.approx(0.8 * seen.predicted.prod(1), rel=1e-5)
+    assert seen.reached[-1, 0] == pytest.approx(2.5 * 1.2 * 0.8, rel=1e-3)
+
+
+def test_norm_1_has_a_front_of_its_own(boxes):
+    seen = found(study(boxes, norm=1, solver="casadi"), ridges=25)
+    assert seen.distance == pytest.approx(np.abs(seen.alpha - 1 / 7).sum(1))
+    assert (np.diff(seen.error) >= -1e-7).all()
+    assert (np.diff(seen.distance) <= 1e-7).all()
+    assert seen.worst[0] == pytest.approx(0, abs=1e-7)
+    assert seen.alpha[-1] == pytest.approx(np.full(7, 1 / 7), abs=1e-8)
+    assert 0 < seen.knee < 24
+
+
+def test_weights_and_bounds_of_the_study_hold(boxes):
+    asked = study(boxes, weights={"width": 9.0}, alpha=(-0.5, 0.7), solver="casadi")
+    seen = found(asked, ridges=15)
+    off = 2 * (seen.predicted - [3.4, 1.8]) / [1.0, 0.4]
+    assert seen.error == pytest.approx(np.sqrt(off**2 @ [1, 9]))
+    assert seen.alpha.min() >= -0.5 - 1e-8
+    assert seen.alpha.max() <= 0.7 + 1e-8
+    assert (np.diff(seen.error) >= -1e-8).all()
+
+
+def test_what_has_no_least_value_is_no_end(boxes):
+    asked = study(boxes, targets={"length": 2.8}, objective=lampopt.Minimise("width"), solver="casadi")
+    seen = found(asked, ridges=6)
+    assert seen.status[0] == "failed"  # without a ridge nothing keeps the width from becoming less and less
+    assert seen.knee > 0
+    with pytest.raises(StudyError, match="reduce: expected a study with an objective, Reduce"):
+        found(asked, reduce=[0.1])
+
+
 # lowering a label
 
 
@@ -357,6 +459,18 @@ def test_the_picture_shows_it(boxes):
     assert "drag" in both.svg()
 
 
+def test_what_is_not_known_is_left_out_of_the_picture():
+    """A mix whose mesh lacks what is measured."""
+    error, distance = np.array([0.1, np.nan, 0.5]), np.array([2.0, 1.0, 0.0])
+    beside = (distance, np.array([1.0, np.nan, 3.0]), error, np.array([True, False, True]))
+    svg = picture(distance, error, 0, beside, "drag")
+    assert "nan" not in svg.lower()
+    assert len(discs(svg, "front")[0].get("points").split()) == 2
+    assert len(discs(svg, "efficient")) == 2
+    nothing = np.full(3, np.nan)
+    assert "nan" not in picture(distance, nothing, 0, (distance, nothing, nothing, beside[3]), "drag").lower()
+
+
 @pytest.fixture
 def study_file(tmp_path, monkeypatch):
     small.bank(store=tmp_path / "boxes.lamp")
@@ -370,12 +484,12 @@ def study_file(tmp_path, monkeypatch):
 
 
 def test_the_command_line_tells_the_same(study_file, tmp_path, capsys):
-    picture = tmp_path / "pictures" / "front.svg"
-    given = ["--ridges", "30", "--reduce", "0,0.05,0.1", "--out", str(picture), "--json"]
+    file = tmp_path / "pictures" / "front.svg"
+    given = ["--ridges", "30", "--reduce", "0,0.05,0.1", "--out", str(file), "--json"]
     assert cli.main(["front", str(study_file), *given]) == 0
     told = json.loads(capsys.readouterr().out)
     seen = found(lampopt.Study.read(study_file), ridges=30, reduce=[0, 0.05, 0.1])
-    assert (told["knee"], told["level"], told["picture"]) == (seen.knee, "field", str(picture))
+    assert (told["knee"], told["level"], told["picture"]) == (seen.knee, "field", str(file))
     assert told["target"] == dict(seen.target)
     for name in ("ridge", "error", "worst", "distance"):
         assert [point[name] for point in told["points"]] == pytest.approx(getattr(seen, name).tolist())
@@ -395,7 +509,7 @@ def test_the_command_line_tells_the_same(study_file, tmp_path, capsys):
     assert (more["name"], more["before"], len(more["points"])) == ("drag", 0.3, 90)
     assert [p["efficient"] for p in more["points"]] == seen.reduction.efficient.tolist()
     assert [p["value"] for p in more["points"]] == pytest.approx(seen.reduction.value.tolist())
-    assert picture.read_text(encoding="utf-8") == seen.svg()
+    assert file.read_text(encoding="utf-8") == seen.svg()
 
 
 def test_people_see_tables(study_file, capsys):

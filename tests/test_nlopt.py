@@ -841,3 +841,20 @@ def test_a_gradient_of_another_length_is_refused_by_name():
 def test_options_out_of_range_are_refused(options):
     with pytest.raises(InputError, match=next(iter(options))):
         NLopt(**options)
+
+
+@pytest.mark.parametrize("solver", [NLopt(), CasADi()])
+def test_what_alone_is_enough_is_so_for_all_that_is_asked(solver):
+    """a − 2b + c is met; a − 2b is not, in whose way are a and b, and c and the sum too: no one of these is enough."""
+    draw = np.random.default_rng(0)
+    rows, alpha = draw.uniform(-1, 1, (3, 12)), draw.dirichlet(np.ones(12))
+    a, b, c = rows
+    matrix = np.vstack([rows, a - 2 * b + c, a - 2 * b])
+    p = Problem(("a", "b", "c", "sum", "culprit"), matrix, matrix @ alpha + [0, 0, 0, 0, 0.3], ridge=0.0)
+    mix = solver.solve(p)
+    assert mix.status == "infeasible"
+    for conflict in mix.conflicts:
+        alone = dict(zip(conflict.names, conflict.alone, strict=True))
+        assert alone.pop("culprit") == pytest.approx(-0.3, abs=1e-7)
+        assert np.isinf([*alone.values()]).all()
+        assert conflict.culprit == "culprit"

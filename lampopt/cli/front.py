@@ -71,7 +71,7 @@ def _read(text: str) -> list[float]:
 
 def _along(found: Front) -> list[int]:
     """Mixes evenly along the front, ends and knee among them."""
-    points = np.column_stack([found.distance, found.error])
+    points = np.nan_to_num(np.column_stack([found.distance, found.error]))
     steps = np.diff(points / np.maximum(points.max(0), 1e-300), axis=0)
     length = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
     places = np.searchsorted(length, np.linspace(0, length[-1], ALONG) * (1 - 1e-12))
@@ -139,7 +139,7 @@ def _shown(found: Front, judged: dict[int, Result], level: Needs) -> list[Render
             (
                 i,
                 number(float(found.ridge[i])),
-                *(f"{v if v > NOISE else 0.0:.3g}" for v in sizes),
+                *(_size(v) for v in sizes),
                 *(f"{v:.5g}" for v in found.reached[i, : len(names)]),
                 _verdict(result),
                 "knee" if i == found.knee else "",
@@ -161,11 +161,15 @@ def _costs(more: Reduction, ridge: float) -> RenderableType:
             number(float(more.ridge[i])),
             f"{more.value[i]:.5g}",
             f"{1 - more.value[i] / more.before:.4f}",
-            *(f"{v if v > NOISE else 0.0:.3g}" for v in (more.error[i], more.distance[i])),
+            *(_size(v) for v in (more.error[i], more.distance[i])),
         )
         for i in chosen
     ]
     return table(f"what lowering {more.name} costs, {number(more.before)} at the reference", heads, rows, right=heads)
+
+
+def _size(value: float) -> str:
+    return "–" if value != value else f"{value if value > NOISE else 0.0:.3g}"
 
 
 def _verdict(result: Result) -> Text:

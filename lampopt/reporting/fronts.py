@@ -18,8 +18,16 @@ STYLE = """text{font:12px system-ui,sans-serif;fill:#5d6b7a}.label{fill:#1d2733}
 def picture(
     distance: Array, error: Array, knee: int, beside: tuple[Array, Array, Array, Array] | None = None, label: str = ""
 ) -> str:
-    """A front of distance and error (B,); `beside` distance, value, error and efficiency where a label is lowered."""
-    charts = [_front(distance, error, knee), *([] if beside is None else [_lowered(*beside, label)])]
+    """A front of distance and error (B,); `beside` distance, value, error and efficiency where a label is lowered.
+
+    What is not known is left out.
+    """
+    known = np.isfinite(error)
+    charts = [_front(distance[known], error[known], (float(distance[knee]), float(error[knee])))]
+    if beside is not None:
+        told = np.isfinite(beside[1]) & np.isfinite(beside[2])
+        far, value, missed, efficient = (column[told] for column in beside)
+        charts.append(_lowered(far, value, missed, efficient, label))
     wide = WIDTH * len(charts)
     inner = "".join(
         chart.replace("<svg ", f'<svg x="{WIDTH * i}" width="{WIDTH}" height="{HEIGHT}" ', 1)
@@ -32,30 +40,30 @@ def picture(
 
 
 def _axes(distance: Array, low: float, high: float, label: str, title: str) -> Axes:
-    far = ROOM * float(distance.max()) or 1.0
+    far = ROOM * float(distance.max(initial=0.0)) or 1.0
     return Axes((0.0, far), (low, high), "‖alpha − centre‖", label, title, width=WIDTH, height=HEIGHT)
 
 
-def _front(distance: Array, error: Array, knee: int) -> str:
-    chart = _axes(
-        distance, 0.0, ROOM * float(error.max()) or 1.0, "error [half ranges]", "accuracy against reliability"
-    )
+def _front(distance: Array, error: Array, knee: tuple[float, float]) -> str:
+    high = ROOM * float(error.max(initial=0.0)) or 1.0
+    chart = _axes(distance, 0.0, high, "error [half ranges]", "accuracy against reliability")
+    if not len(distance):
+        return chart.svg()
     ends = [(float(distance[i]), float(error[i])) for i in (0, -1)]
     chart.line(ends[0], ends[1], "agree")
     line = " ".join(f"{chart.x(float(x)):.1f},{chart.y(float(y)):.1f}" for x, y in zip(distance, error, strict=True))
     chart.parts.append(f'<polyline class="front" points="{line}"/>')
-    at = float(distance[knee]), float(error[knee])
-    chart.parts.append(_disc(chart, *at, 5.0, "knee", f"knee: distance {number(at[0])}, error {number(at[1])}"))
-    chart.note("knee", chart.x(at[0]) + 9, chart.y(at[1]) - 7)
+    chart.parts.append(_disc(chart, *knee, 5.0, "knee", f"knee: distance {number(knee[0])}, error {number(knee[1])}"))
+    chart.note("knee", chart.x(knee[0]) + 9, chart.y(knee[1]) - 7)
     return chart.svg()
 
 
 def _lowered(distance: Array, value: Array, error: Array, efficient: Array, label: str) -> str:
     """The larger a disc, the less of all else is missed; what others beat is pale."""
-    low, high = float(value.min()), float(value.max())
+    low, high = (float(value.min()), float(value.max())) if len(value) else (0.0, 1.0)
     room = (ROOM - 1) * (high - low) or abs(high) * 0.1 or 1.0
     chart = _axes(distance, low - room, high + room, label, f"{label} against distance")
-    size = 1.5 + 3 * (1 - error / (float(error.max()) or 1.0))
+    size = 1.5 + 3 * (1 - error / (float(error.max(initial=0.0)) or 1.0))
     drawn = np.argsort(efficient, kind="stable")[np.linspace(0, len(value) - 1, min(MOST, len(value))).astype(int)]
     for i in drawn.tolist():
         said = (

@@ -120,7 +120,7 @@ class Asked:
         found, left = list[Conflict](), self
         while len(found) < MOST and (give := left.give()).any():
             part = left.only(np.flatnonzero(give).tolist())._irreducible()
-            found.append(part._conflict())
+            found.append(part._conflict(self))
             rest = [np.abs(left.but(left.names.index(name)).give()).sum() for name in part.names]
             left = left.but(left.names.index(part.names[int(np.argmin(rest))]))
         return tuple(found)
@@ -133,9 +133,10 @@ class Asked:
             kept = rest if rest.give().any() else kept
         return kept
 
-    def _conflict(self) -> Conflict:
+    def _conflict(self, whole: Asked) -> Conflict:
+        """These, of which each has to give so much alone for all of `whole` to be met."""
         names, amounts = self.names, self.give()
-        alone = [self._alone(i, float(amount)) for i, amount in enumerate(amounts)]
+        alone = [whole._alone(whole.names.index(n), float(a)) for n, a in zip(names, amounts, strict=True)]
         if not self.widened(np.inf).give().any():  # without the bounds there is no contradiction
             names, amounts, alone = (*names, BOUNDS), np.append(amounts, 0.0), [*alone, np.nan]
         return Conflict(names, amounts, np.array(alone))
