@@ -297,7 +297,9 @@ def test_plugins_that_cannot_be_sent_are_named(bank, tmp_path, processes):
 
 def test_measures_of_the_main_program_are_refused(bank, tmp_path, processes, monkeypatch):
     monkeypatch.setattr(toys.Size, "__module__", "__main__")  # elsewhere __main__ is another program
-    with pytest.raises(StudyError, match=r"measures mine cannot be sent .*main program.*define them in a module"):
+    with pytest.raises(
+        StudyError, match=r"measures or models mine cannot be sent .*main program.*define them in a module"
+    ):
         next(sweep(Study(bank, measures={"mine": toys.Size()}), tmp_path, processes))
 
 
