@@ -101,9 +101,14 @@ def closed(
     readings = _readings(study, quantities, target, mix)
     if not readings:
         return Closed(posed, mix, dict(target))
-    ask, jacobian = dict(target), np.diag([reading.slope for reading in readings.values()])
+    ask, jacobian = (
+        {**target, **_begun(study, quantities, target, readings)},
+        np.diag([reading.slope for reading in readings.values()]),
+    )
     scale = np.array([reading.column.spread / 2 for reading in readings.values()])
     wanted = np.array([reading.wanted for reading in readings.values()])
+    if ask != target:
+        posed, mix = solve(ask)
     best: tuple[tuple[bool, float], Closed] | None = None
     before: tuple[Array, Array] | None = None
     for turn in range(study.turns + 1):
@@ -132,6 +137,20 @@ def closed(
     bank, found = quantities.bank, best[1]
     declared = [name for name in target if name in bank.measured_by]
     return replace(found, expected={name: _by_exemplars(bank, name, target, found.mix)[0] for name in declared})
+
+
+def _begun(
+    study: Study, quantities: Quantities, target: Mapping[str, float], readings: Mapping[str, Reading]
+) -> dict[str, float]:
+    """Where the ask begins: a label and what is measured for it may lie apart, as they do at the reference."""
+    if study.reference is None or not study.turns:
+        return {}
+    apart = {
+        name: quantities.at(name, study.reference) - quantities.at(name, study.reference, study.measured[name])
+        for name in readings
+        if name in study.measured
+    }
+    return {name: target[name] + by for name, by in apart.items()}
 
 
 def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> Array:
