@@ -196,11 +196,20 @@ def _by_exemplars(bank: Bank, name: str, target: Mapping[str, float], mix: Mix) 
     )
 
 
+def told_without_turns(study: Study, name: str) -> bool:
+    """Whether what the study declares for `name` is held against the ask without corrections.
+
+    What a reference has is then taken from its label, which may lie apart from what is measured: that tells nothing.
+    """
+    return name in study.measured and name not in (*study.keep, study.objective and study.objective.name)
+
+
 def read_checks(study: Study, quantities: Quantities, found: Closed, limits: Limits) -> list[Check]:
     """Whether what the study itself declares measurable was measured as asked; the bank's own are checked for drift."""
     checks = []
     for name, address in study.measured.items():
-        if name in found.read and (column := quantities[name].column) is not None:
+        told = study.turns or told_without_turns(study, name)
+        if told and name in found.read and (column := quantities[name].column) is not None:
             read, wanted = found.read[name], found.wanted[name]
             off = abs(read - wanted) * 2 / column.spread
             note = f"{address} {read:.6g}, asked {wanted:.6g} {column.unit}".rstrip()

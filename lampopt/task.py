@@ -17,7 +17,7 @@ from lampopt.bank import decoder_of
 from lampopt.chain import Chain
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
 from lampopt.choices import GIVEN, Value
-from lampopt.closing import Closed, closed, read_checks
+from lampopt.closing import Closed, closed, read_checks, told_without_turns
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
 from lampopt.evaluations import Memory
@@ -158,7 +158,7 @@ class Task:
 
     def made(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
         """One design: its ask corrected as often as the study says, then judged."""
-        measured = self.study.level == "mesh" and any(name in target for name in self.study.measured)
+        measured = self.study.level == "mesh" and any(told_without_turns(self.study, name) for name in target)
         if not (self.study.turns or measured):
             return self.judge(target, posed, mix)
         found = closed(self.study, self.wishes.quantities, target, self.solved, (posed, mix))
