@@ -32,7 +32,7 @@ def linear(p: Problem) -> Array:
     for rows, values in steps if not len(p.still) else steps[:2]:
         alpha, basis = _then(alpha, basis, rows, values)
     if len(p.still):  # rows first, as the ridge has them; then what is free moves
-        asked = linear(replace(p, still=None))
+        asked = linear(replace(p, still=p.still[:0]))
         alpha, basis = _then(alpha, basis, p.matrix[~p.hard], p.matrix[~p.hard] @ asked)
         alpha, basis = _then(alpha, basis, p.still, p.still @ p.centre)
     return alpha

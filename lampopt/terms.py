@@ -13,7 +13,7 @@ import numpy as np
 
 from lampopt.chain import Chain
 from lampopt.protocols import Measure, Model, Symbolic
-from lampopt.types import Array, Term, rough
+from lampopt.types import Array, Expressible, Term, rough
 
 Whole = Callable[[Array], Array]
 
@@ -149,13 +149,14 @@ class SymbolicShaped(Shaped):
 
     def symbolic(self, alpha: Any) -> Any:
         """As an expression."""
-        symbolic = self.term.symbolic  # type: ignore[attr-defined]  # told by `shaped`
+        assert isinstance(self.term, Expressible)
+        symbolic = self.term.symbolic
         return self.weight * (self.factor * (symbolic(alpha) - self.offset)) ** self.power
 
 
 def shaped(name: str, term: Term, *, offset: float, factor: float, power: int = 1, weight: float = 1.0) -> Term:
     """`Shaped`, as an expression too where `term` is one."""
-    cls = SymbolicShaped if callable(getattr(term, "symbolic", None)) else Shaped
+    cls = SymbolicShaped if isinstance(term, Expressible) else Shaped
     return cls(name, term, offset, factor, power, weight)
 
 

@@ -92,6 +92,7 @@ def test_measure_and_learn(tmp_path):
     assert float(predicted) == pytest.approx(float(true.removesuffix("]]")), abs=0.005)
 
 
+# The judge and its bodies are no part of the product: a checkout may stand alone.
 @pytest.mark.skipif(not ((JUDGE / "judge.py").exists() and CARS.exists()), reason=f"the judge is not at {JUDGE}")
 def test_drag_reduction(tmp_path):
     said = run("drag_reduction.py", tmp_path, "out", str(JUDGE))

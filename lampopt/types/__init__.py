@@ -7,7 +7,7 @@ from lampopt.types.arrays import Array, frozen_array
 from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
-from lampopt.types.problem import BOUNDS, Conflict, Mix, MixBatch, Problem, Status, Term, called, rough
+from lampopt.types.problem import BOUNDS, Conflict, Expressible, Mix, MixBatch, Problem, Status, Term, called, rough
 
 __all__ = [
     "BOUNDS",
@@ -19,6 +19,7 @@ __all__ = [
     "Conflict",
     "Design",
     "Exemplars",
+    "Expressible",
     "Frame",
     "Mix",
     "MixBatch",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,12 +18,20 @@ BOUNDS = "bounds on alpha"  # how these are called where they stand in the way
 class Term(Protocol):
     """A value that depends on the mix, and its gradient; None where the gradient is not known.
 
-    It may have a `name`; a method `symbolic` that takes alpha as a CasADi expression and returns its value as one; and
-    an attribute `rough`, true where its values have the noise of single precision.
+    It may have a `name`; it may be `Expressible`; and it may have an attribute `rough`, true where its values have the
+    noise of single precision.
     """
 
     def __call__(self, alpha: Array, /) -> tuple[float, Array | None]:
         """The value at alpha (N,), and its gradient (N,)."""
+
+
+@runtime_checkable
+class Expressible(Term, Protocol):
+    """A term that exists as a CasADi expression."""
+
+    def symbolic(self, alpha: Any, /) -> Any:
+        """Its value as an expression of alpha (N,), which is one."""
 
 
 def rough(term: Term) -> bool:
@@ -86,7 +94,7 @@ class Problem:
     centre: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
     ridge: float | None = None
     norm: Literal[1, 2] = 2
-    still: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    still: Array = field(default_factory=lambda: np.empty((0, 0)))
     objectives: tuple[Term, ...] = ()
     constraints: tuple[Term, ...] = ()
     equalities: tuple[Term, ...] = ()
@@ -112,7 +120,7 @@ class Problem:
             range_high=bounds(self.range_high, "range_high", r, np.inf),
             centre=frozen_array(np.full(n, 1 / n) if self.centre is None else self.centre, "centre", (n,)),
         )
-        assign(self, still=frozen_array(np.empty((0, n)) if self.still is None else self.still, "still", (None, n)))
+        assign(self, still=frozen_array(self.still if len(self.still) else np.empty((0, n)), "still", (None, n)))
         for name in ("alpha_low", "alpha_high"):
             if getattr(self, name) is not None:
                 assign(self, **{name: bounds(getattr(self, name), name, n, 0.0)})
@@ -146,11 +154,11 @@ class Conflict:
 
     names: tuple[str, ...]
     amounts: Array
-    alone: Array = None  # type: ignore[assignment]  # filled in below, never None afterwards
+    alone: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         k = len(self.names)
-        alone = np.full(k, np.nan) if self.alone is None else np.array(self.alone, float)
+        alone = np.array(self.alone, float) if len(self.alone) else np.full(k, np.nan)
         alone.setflags(write=False)
         assign(self, amounts=frozen_array(self.amounts, "amounts", (k,)), alone=alone)
         if alone.shape != (k,):

@@ -14,9 +14,9 @@ from typing import Any
 import casadi
 import numpy as np
 
-from lampopt.types import BOUNDS, Array, Conflict, Mix, Problem, Status, Term, called
+from lampopt.types import BOUNDS, Array, Conflict, Expressible, Mix, Problem, Status, Term, called
 
-from .outside import Outside, is_symbolic
+from .outside import Outside
 from .quadratic import Squares
 from .requirements import Requirements
 from .words import held_off, infeasible
@@ -68,7 +68,7 @@ class Nonlinear:
             if np.abs(residual).max(initial=0.0) <= HELD * (1 + np.abs(problem.target).max(initial=0.0)):
                 return Mix(near + (1 - near.sum()) / len(near), residual, "exact", "every target is met")
         rest = [*problem.objectives, *problem.constraints, *problem.equalities]
-        program = _Program(self.must, near, all(is_symbolic(term) for term in rest), self.iterations)
+        program = _Program(self.must, near, all(isinstance(term, Expressible) for term in rest), self.iterations)
         alpha = program.alpha
         off = casadi.DM(squares.rows) @ alpha - casadi.DM(squares.target)
         cost = casadi.dot(casadi.DM(squares.weight) * off, off)
@@ -101,7 +101,9 @@ class Nonlinear:
     def _nearer(self, found: Array) -> Array:
         """Of all alpha with the rows of `found` that keep all constraints, the nearest to the centre; or `found`."""
         rows = self.squares.rows
-        program = _Program(self.must, found, all(is_symbolic(term) for _, term, _ in self._terms()), self.iterations)
+        program = _Program(
+            self.must, found, all(isinstance(term, Expressible) for _, term, _ in self._terms()), self.iterations
+        )
         if len(rows):
             program.keep(casadi.DM(rows) @ program.alpha, rows @ found, rows @ found)
         for name, term, low in self._terms():
@@ -247,7 +249,9 @@ class _Elastic:
     def _least(self, elastic: Sequence[int]) -> tuple[Array, Array, Array, bool]:
         """Alpha with the least sum of what those numbered `elastic` give, what all give, and who presses."""
         bounds = self.asked.only([])
-        program = _Program(bounds, self.near, all(is_symbolic(term) for _, term, _ in self.terms), self.iterations)
+        program = _Program(
+            bounds, self.near, all(isinstance(term, Expressible) for _, term, _ in self.terms), self.iterations
+        )
         start = self._off(self.near)
         count, chosen = program.kept[0][0].numel() if program.kept else 0, set(elastic)
         up, down = program.variable(np.maximum(start, 0) + 0.01), program.variable(np.maximum(-start, 0) + 0.01)

@@ -9,12 +9,7 @@ import casadi
 import numpy as np
 
 from lampopt.errors import SolveError
-from lampopt.types import Array, Term, rough
-
-
-def is_symbolic(term: Term) -> bool:
-    """Whether a term tells its expression."""
-    return callable(getattr(term, "symbolic", None))
+from lampopt.types import Array, Expressible, Term, rough
 
 
 class Outside:
@@ -26,8 +21,8 @@ class Outside:
 
     def expression(self, term: Term, alpha: Any, name: str) -> Any:
         """The value of `term` at `alpha` (N,) as an expression."""
-        if is_symbolic(term):
-            return term.symbolic(alpha)  # type: ignore[attr-defined]  # told by is_symbolic
+        if isinstance(term, Expressible):
+            return term.symbolic(alpha)
         self.rough |= rough(term)
         self._evaluations.append(Evaluations(term, name))
         self._held.append(_Outside(self._evaluations[-1], alpha.numel()))
