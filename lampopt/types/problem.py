@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -222,6 +223,30 @@ class MixBatch:
             self,
             alpha=frozen_array(self.alpha, "alpha", (b, None)),
             residual=frozen_array(self.residual, "residual", (b, None)),
+        )
+
+    @classmethod
+    def one_by_one(
+        cls, solve: Callable[[Problem], Mix], problem: Problem, targets: Array, ridges: Array | None = None
+    ) -> MixBatch:
+        """What `solve` makes of each of targets (B, k), one ridge (B,) each if given: a `solve_many` for any solver.
+
+        Raises
+        ------
+        InputError
+            If the shapes do not fit.
+        """
+        targets, k = np.asarray(targets, float), len(problem.names)
+        if targets.ndim != 2 or targets.shape[1] != k:
+            raise InputError(f"targets: expected shape (B, {k}), got {targets.shape}")
+        if ridges is not None and np.shape(ridges) != (len(targets),):
+            raise InputError(f"ridges: expected {len(targets)} numbers, got {ridges!r}")
+        each = [problem.ridge] * len(targets) if ridges is None else [float(ridge) for ridge in ridges]
+        mixes = [solve(replace(problem, target=t, ridge=r)) for t, r in zip(targets, each, strict=True)]
+        return cls(
+            np.reshape([mix.alpha for mix in mixes], (len(targets), len(problem.centre))),
+            np.reshape([mix.residual for mix in mixes], (len(targets), k)),
+            tuple(mix.status for mix in mixes),
         )
 
     def __len__(self) -> int:

@@ -113,19 +113,7 @@ class NLopt:
 
     def solve_many(self, problem: Problem, targets: Array, ridges: Array | None = None) -> MixBatch:
         """The mixes for targets (B, k), one ridge (B,) each if given, one after the other."""
-        targets = np.asarray(targets, float)
-        k = len(problem.names)
-        if targets.ndim != 2 or targets.shape[1] != k:
-            raise InputError(f"targets: expected shape (B, {k}), got {targets.shape}")
-        if ridges is not None and np.shape(ridges) != (len(targets),):
-            raise InputError(f"ridges: expected {len(targets)} numbers, got {ridges!r}")
-        each = [problem.ridge] * len(targets) if ridges is None else [float(ridge) for ridge in ridges]
-        mixes = [self.solve(replace(problem, target=t, ridge=r)) for t, r in zip(targets, each, strict=True)]
-        return MixBatch(
-            np.reshape([mix.alpha for mix in mixes], (len(targets), len(problem.centre))),
-            np.reshape([mix.residual for mix in mixes], (len(targets), k)),
-            tuple(mix.status for mix in mixes),
-        )
+        return MixBatch.one_by_one(self.solve, problem, targets, ridges)
 
     def _refuse(self, problem: Problem) -> None:
         if problem.norm != 2:
