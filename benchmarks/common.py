@@ -159,6 +159,12 @@ class Bench:
         used = [self.plugins.get(*which).resolve() for which in (("solver", "kkt"), ("measure", "plate"))]
         self.code = key([core(*CORE), *map(source, used)])
 
+    @classmethod
+    def of(cls, args: argparse.Namespace, console: Console) -> Bench:
+        """As `options` and `--quick` say."""
+        cache = args.cache / "quick" if args.quick else args.cache
+        return cls(cache, lampopt.Spec(args.decoder), args.resolution, args.quick, args.seed, console=console)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[Callable[..., None]]:
         """Time a stage; yields what tells how far it is, from 0 to 1."""

@@ -100,8 +100,7 @@ def main(given: Sequence[str] | None = None) -> int:
     tables: dict[str, Row] = {}
     try:
         judge = judge_at(args.judge)
-        cache = args.cache / "quick" if args.quick else args.cache
-        bench = Bench(cache, lampopt.Spec(args.decoder), args.resolution, args.quick, args.seed, console=talk)
+        bench = Bench.of(args, talk)
         with threads(args.threads):
             body = Body(bench, judge, args.body)
             cars = body.exemplars()

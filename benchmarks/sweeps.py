@@ -113,8 +113,7 @@ def main(given: Sequence[str] | None = None) -> int:
     tables = {}
     try:
         judge = judge_at(args.judge)
-        cache = args.cache / "quick" if args.quick else args.cache
-        bench = Bench(cache, lampopt.Spec(args.decoder), args.resolution, args.quick, args.seed, console=talk)
+        bench = Bench.of(args, talk)
         with threads(args.threads):
             for name in args.body or list(judge.LENGTH):
                 tables[name] = table(Family(bench, judge, name))
