@@ -172,3 +172,42 @@ def test_a_correction_that_nothing_can_meet_is_not_taken(bank):
     """The blunted length needs an ask beyond the range that is kept."""
     result = run(bank, targets={"length": 3.0}, ranges={"extents.length": (0.0, 3.0)}, solver="casadi", turns=4)
     assert result.design.mix.status == "exact"
+
+
+class Short:
+    """Measure that reads a length half a metre short."""
+
+    names, units = ("length",), ("L",)
+
+    def __call__(self, mesh):
+        return mesh.extents[:1] - 0.5
+
+
+def test_the_ask_begins_where_label_and_measure_lie_apart():
+    """A label 0.3 above what is measured, everywhere: nothing is left to correct."""
+    labels = small.LENGTHS[:, None] + 0.3
+    bank = small.bank(small.boxes(labels=labels), plugins=PLUGINS)
+    told = {"measures": {"own": Length()}, "measured": {"drag": "own.length"}, "turns": 3}
+    result = run(bank, objective=Reduce("drag", by=0.1), reference="box_5", **told)
+    assert result.design.mesh.extents[0] == pytest.approx(0.9 * 3.0, abs=1e-4)
+    assert result.provenance["turns"] == 0
+
+
+class Length:
+    """Stands for a label without a unit."""
+
+    names, units = ("length",), ("",)
+
+    def __call__(self, mesh):
+        return mesh.extents[:1]
+
+
+def test_of_an_ask_that_can_be_met_and_one_that_reads_better_the_first_is_taken():
+    bank = small.bank(small.boxes(), plugins=PLUGINS, measured={"width": "extents.width"})
+    asked = {"measures": {"own": Short()}, "measured": {"length": "own.length"}, "solver": "casadi"}
+    result = run(
+        bank, targets={"length": 2.5}, linear={"cap": lampopt.Linear({"length": 1.0}, high=2.7)}, turns=2, **asked
+    )
+    assert result.design.mix.status == "exact"
+    assert result.design.predicted[0] == pytest.approx(2.5)
+    assert not result.check("measured.length").passed

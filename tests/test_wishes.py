@@ -18,6 +18,7 @@ from lampopt.safeguards import LeastJacobian, Mismatch, judged_by, seen
 from lampopt.task import Task
 from lampopt.terms import model_value, shaped
 from lampopt.types import Parameter
+from lampopt.workers import _packed, _unpacked
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -569,3 +570,19 @@ def test_numbers_beyond_any_float_are_refused():
     for ends in ((inf, inf), (-inf, -inf), (inf, 2.0)):
         with pytest.raises(StudyError, match="expected low ≤ high"):
             Linear({"a": 1}, *ends)
+
+
+def test_models_go_to_other_processes(bank, tmp_path):
+    file = tmp_path / "a.lamp"
+    lampopt.store_bank(bank, file)
+    task = Task.of(Study(lampopt.load_bank(file), targets={"aero.lift": 3.0}, models={"aero": Drag()}), PLUGINS)
+    there = _unpacked(_packed(task, file))
+    assert there.identity == task.identity
+    assert there.models == task.models
+
+
+def test_what_is_measured_at_the_reference_is_in_the_labels_unit():
+    bank = small.bank(small.boxes(labels=100 * small.LENGTHS[:, None], label_space=(Parameter("span", "cm"),)),
+                      decoder="pulled", plugins=PLUGINS)  # fmt: skip
+    known = Task.of(Study(bank), PLUGINS).wishes.quantities
+    assert known.at("span", "box_1", "extents.length") == pytest.approx(220.0, rel=1e-6)
