@@ -2,7 +2,8 @@
 
 What is off is mostly the same nearby (a decoder's blunting, a label that is not linear in the mix), so that asking for
 as much more or less takes nearly all of it away. The first correction takes one unit asked for one unit measured; each
-turn then teaches how they really go together (Broyden, 1965). The best of all turns counts.
+turn then teaches how they really go together (Broyden, 1965). A label that the parameters explain is asked by a plane
+through what was measured (lampopt.secant), from the first turn. The best of all turns counts.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from lampopt.check import Limits
 from lampopt.errors import StudyError
 from lampopt.mix import predicted
 from lampopt.quantities import Quantities, Quantity
+from lampopt.secant import Plane, explained
 from lampopt.solve import Column, Posed
 from lampopt.study import Study
 from lampopt.types import Array, Bank, Check, Mix
@@ -24,7 +26,7 @@ from lampopt.units import factor
 
 CLOSE = 1e-4  # what is off by less [half of the bank's range] needs no other turn
 FARTHEST = 1.0  # correction in one turn [half of the bank's range]
-Solve = Callable[[Mapping[str, float]], tuple[Posed, Mix]]
+Solve = Callable[[Mapping[str, float], Mapping[str, Array]], tuple[Posed, Mix]]
 log = logging.getLogger("lampopt")
 
 
@@ -88,7 +90,7 @@ def closed(
     target
         What is asked [the bank's units].
     solve
-        Makes the mix of what is asked instead.
+        Makes the mix of what is asked instead; (N,) what columns are taken to be over the exemplars besides.
     start
         What it makes of `target` itself.
 
@@ -101,14 +103,14 @@ def closed(
     readings = _readings(study, quantities, target, mix)
     if not readings:
         return Closed(posed, mix, dict(target))
-    ask, jacobian = (
-        {**target, **_begun(study, quantities, target, readings)},
-        np.diag([reading.slope for reading in readings.values()]),
-    )
+    planes = _planes(study, quantities, readings)
+    corrected = [name not in planes for name in readings]
+    jacobian = np.diag([reading.slope for reading in readings.values()])[np.ix_(corrected, corrected)]
     scale = np.array([reading.column.spread / 2 for reading in readings.values()])
     wanted = np.array([reading.wanted for reading in readings.values()])
-    if ask != target:
-        posed, mix = solve(ask)
+    ask = {**target, **_begun(study, quantities, target, [name for name in readings if name not in planes])}
+    if planes or ask != target:
+        posed, mix = _next(solve, ask, readings, planes)
     best: tuple[tuple[bool, float], Closed] | None = None
     before: tuple[Array, Array] | None = None
     for turn in range(study.turns + 1):
@@ -123,31 +125,60 @@ def closed(
         log.debug("turn %d: off by %.4g half ranges", turn, worst)
         if turn == study.turns or worst <= CLOSE or worst == np.inf:
             break
-        at = np.array([ask[name] for name in readings])
+        planes = {
+            name: planes[name].through(mix.alpha, value)
+            for name, value in zip(readings, read.tolist(), strict=True)
+            if name in planes
+        }
+        at, error = np.array([ask[name] for name in readings])[corrected], off[corrected]
         if before is not None:
-            step, change = (at - before[0]) / scale, off - before[1]
+            step, change = (at - before[0]) / scale[corrected], error - before[1]
             if (size := float(step @ step)) > 0:
                 jacobian = jacobian + np.outer(change - jacobian @ step, step) / size
-        before = at, off
-        correction = np.linalg.lstsq(jacobian, -off, rcond=1e-3)[0]
-        correction *= min(1.0, FARTHEST / max(float(np.abs(correction).max()), 1e-300))
-        ask |= dict(zip(readings, (at + scale * correction).tolist(), strict=True))
-        posed, mix = solve(ask)
+        before = at, error
+        correction = np.linalg.lstsq(jacobian, -error, rcond=1e-3)[0] if len(at) else at
+        correction = correction * min(1.0, FARTHEST / max(float(np.abs(correction).max(initial=0)), 1e-300))
+        names = [name for name in readings if name not in planes]
+        ask |= dict(zip(names, (at + scale[corrected] * correction).tolist(), strict=True))
+        posed, mix = _next(solve, ask, readings, planes)
     assert best is not None
     bank, found = quantities.bank, best[1]
     declared = [name for name in target if name in bank.measured_by]
     return replace(found, expected={name: _by_exemplars(bank, name, target, found.mix)[0] for name in declared})
 
 
-def _begun(
-    study: Study, quantities: Quantities, target: Mapping[str, float], readings: Mapping[str, Reading]
-) -> dict[str, float]:
-    """Where the ask begins: a label and what is measured for it may lie apart, as they do at the reference."""
+def _next(
+    solve: Solve, ask: Mapping[str, float], readings: Mapping[str, Reading], planes: Mapping[str, Plane]
+) -> tuple[Posed, Mix]:
+    """The mix of the next turn: labels by their planes, as far as one turn goes."""
+    steps = {}
+    for name, plane in planes.items():
+        farthest = FARTHEST * readings[name].column.spread / 2
+        steps[name] = plane.value + float(np.clip(readings[name].wanted - plane.value, -farthest, farthest))
+    return solve({**ask, **steps}, {name: plane.values for name, plane in planes.items()})
+
+
+def _planes(study: Study, quantities: Quantities, readings: Mapping[str, Reading]) -> dict[str, Plane]:
+    """The labels that the parameters explain, by planes through what is measured where the design starts from."""
+    bank, found = quantities.bank, dict[str, Plane]()
+    if not study.turns:
+        return found
+    n = len(bank)
+    start = np.full(n, 1 / n) if study.reference is None else np.eye(n)[bank.names.index(study.reference)]
+    for name in readings:
+        if name in {q.name for q in bank.label_space} and (plane := explained(bank, name)) is not None:
+            value = quantities.at(name, study.reference, study.measured[name])
+            found[name] = replace(plane, at=start @ plane.parameters, value=value)
+    return found
+
+
+def _begun(study: Study, quantities: Quantities, target: Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
+    """Where the ask begins: what is asked and what is measured for it may lie apart, as they do at the reference."""
     if study.reference is None or not study.turns:
         return {}
     apart = {
         name: quantities.at(name, study.reference) - quantities.at(name, study.reference, study.measured[name])
-        for name in readings
+        for name in names
         if name in study.measured
     }
     return {name: target[name] + by for name, by in apart.items()}

@@ -118,6 +118,7 @@ def pose(
     sums: Sequence[tuple[Column, float, float]] = (),
     needed: Sequence[str] = (),
     moved: Sequence[str] = (),
+    told: Mapping[str, Array] | None = None,
 ) -> Posed:
     """The problem that asks `targets` of `bank`.
 
@@ -141,6 +142,8 @@ def pose(
         Names that exemplars have to have a value for besides.
     moved
         Names that may have to move for what is asked, besides those that are.
+    told
+        (N,) what targets are taken to be over the exemplars, by name, in place of the bank's values.
 
     Raises
     ------
@@ -149,10 +152,12 @@ def pose(
     """
     ranges = dict(ranges or {})
     names = columns(bank)
-    rows = tuple(_movable(names, name) for name in targets)
+    instead = {name: replace(_movable(names, name), values=values) for name, values in (told or {}).items()}
+    rows = tuple(_movable(names | instead, name) for name in targets)
     limits = (*(_movable(names, name) for name in ranges), *(column for column, _, _ in sums))
     ends = [*ranges.values(), *((low, high) for _, low, high in sums)]
-    known = [~np.isnan(c.values) for c in (*rows, *limits, *(_movable(names, name) for name in needed))]
+    asked_for = [_movable(names, c.name) for c in rows]  # an exemplar without a label takes no part, whatever is told
+    known = [~np.isnan(c.values) for c in (*asked_for, *limits, *(_movable(names, name) for name in needed))]
     active = np.flatnonzero(np.all(known, axis=0) if known else np.ones(len(bank), bool))
     if among is not None:
         active = np.intersect1d(active, np.asarray(among, int))

@@ -32,7 +32,7 @@ from lampopt.quantities import Quantities
 from lampopt.safeguards import judged_by
 from lampopt.solve import Posed, solve
 from lampopt.study import Study
-from lampopt.types import LEVELS, Bank, Check, Design, Mix, Result, Scalar, Spec
+from lampopt.types import LEVELS, Array, Bank, Check, Design, Mix, Result, Scalar, Spec
 from lampopt.wishes import Wishes, goal_checks
 from lampopt.written import MeshFile
 
@@ -125,9 +125,11 @@ class Task:
         quantities = Quantities(self.bank, self.models, self.measures, chain, self.plugins)
         return Wishes(self.study, self.bank, self.decoder, self.limits, quantities)
 
-    def posed(self, target: Mapping[str, float], memory: Memory | None = None) -> Posed:
-        """The problem that one target poses; `memory` knows what a search for it has evaluated."""
-        return self.wishes.posed(target, memory)
+    def posed(
+        self, target: Mapping[str, float], memory: Memory | None = None, told: Mapping[str, Array] | None = None
+    ) -> Posed:
+        """The problem that one target poses; `memory` and `told` as in `Wishes.posed`."""
+        return self.wishes.posed(target, memory, told)
 
     @cached_property
     def designer(self) -> Designer:
@@ -161,7 +163,12 @@ class Task:
         measured = self.study.level == "mesh" and any(told_without_turns(self.study, name) for name in target)
         if not (self.study.turns or measured):
             return self.judge(target, posed, mix)
-        found = closed(self.study, self.wishes.quantities, target, self.solved, (posed, mix))
+
+        def again(ask: Mapping[str, float], told: Mapping[str, Array]) -> tuple[Posed, Mix]:
+            posed = self.posed(ask, told=told)
+            return posed, solve(posed, self.solver)
+
+        found = closed(self.study, self.wishes.quantities, target, again, (posed, mix))
         return self.judge(target, found.posed, found.mix, found)
 
     def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix, turned: Closed | None = None) -> Result:

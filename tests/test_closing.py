@@ -13,6 +13,7 @@ from lampopt import Reduce, Study
 from lampopt.errors import StudyError
 from lampopt.plugins import Plugins
 from lampopt.testing import shapes
+from lampopt.types import Exemplars, Parameter
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -211,3 +212,23 @@ def test_of_an_ask_that_can_be_met_and_one_that_reads_better_the_first_is_taken(
     assert result.design.mix.status == "exact"
     assert result.design.predicted[0] == pytest.approx(2.5)
     assert not result.check("measured.length").passed
+
+
+def test_a_label_that_can_be_mixed_without_the_shape_is_still_had():
+    """Noise on the labels is what the least mix lives on; the planes ask for what shapes follow."""
+    draw = np.random.default_rng(2)
+    rows = np.column_stack([draw.uniform(2, 3, 24), draw.uniform(1, 1.4, 24)])
+    meshes = [shapes.box([*row, 0.8]) for row in rows]
+    labels = np.array([Volume()(mesh) for mesh in meshes]) + 0.04 * draw.normal(size=(24, 1))
+    space, label_space = (Parameter("length", "m"), Parameter("width", "m")), (Parameter("drag"),)
+    names = tuple(f"box_{i}" for i in range(24))
+    cars = Exemplars(rows, space, meshes, names, unit="m", labels=labels, label_space=label_space)
+    noisy = small.bank(cars, decoder="blunt", plugins=PLUGINS)
+    asked = {"keep": ("width",), "reference": "box_6", "objective": Reduce("drag", by=0.25)}
+    asked |= {"measures": {"air": Volume()}, "measured": {"drag": "air.drag"}}
+    start = float(Volume()(run(noisy, reference="box_6").design.mesh)[0])
+    made = [run(noisy, **asked, turns=turns).design.mesh for turns in (0, 1, 3)]
+    off = [abs(1 - float(Volume()(mesh)[0]) / start - 0.25) for mesh in made]
+    assert off[0] > 0.05
+    assert off[1] < 0.02
+    assert off[2] < 1e-3
