@@ -42,6 +42,7 @@ CORE = (
     "mixes",
     "quantities",
     "safeguards",
+    "secant",
     "solve",
     "task",
     "terms",

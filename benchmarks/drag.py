@@ -1,8 +1,9 @@
 """The paper's drag study (table 3): ``python -m benchmarks.drag --help`` (docs/performance.md).
 
 Drag 10 % down from a reference, a random subset of the other parameters held, solved in the mix of labelled exemplars;
-every case counts. Nothing learned judges: drag is the judge's on the produced mesh, against the reference made through
-the same decoder and resolution; held parameters are those that explain the same meshes best (benchmarks/inverse.py).
+every case counts. Nothing learned judges: drag is the judge's on the produced mesh (of aircraft AeroBuildup's), against
+the reference made through the same decoder and resolution; held parameters are those that explain the same meshes best
+(benchmarks/inverse.py; of aircraft those that `bwb` measures).
 Open loop is the paper's; in closed loop what was made is measured and the ask corrected.
 """
 
@@ -10,8 +11,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
@@ -19,9 +20,10 @@ from rich.console import Console
 from trimesh import Trimesh
 
 import lampopt
-from lampopt.errors import LampoptError
+from lampopt.errors import LampoptError, MeasureError
 from lampopt.metrics import mean_absolute_error, r_squared
-from lampopt.types import Array
+from lampopt.protocols import Measure
+from lampopt.types import Array, Parameter
 
 from . import inverse
 from .body import Body, judge_at
@@ -31,20 +33,37 @@ from .inverse import Inverse
 
 CUT = 0.10  # of the reference's drag
 CASES = 100
+BWB, AIRCRAFT = "bwb", 50  # the family without a judge, and its exemplars
 MOST = 5  # parameters held at a time
 PAPER = {"decay": "2.7", "held": "0.087", "held R²": "0.938", "drag R²": "0.792"}
 
 
 @dataclass(frozen=True, eq=False)
 class Drag:
-    """Measure: the judge's stand-in for a drag coefficient."""
+    """Measure: the one number of `of`, as drag."""
 
-    judge: ModuleType
+    of: Callable[[Trimesh], float]
     names: tuple[str, ...] = ("drag",)
     units: tuple[str, ...] = ("",)
 
     def __call__(self, mesh: Trimesh) -> Array:
-        return np.array([self.judge.drag(mesh)])
+        return np.array([float(self.of(mesh))])
+
+
+@dataclass(frozen=True, eq=False)
+class Some:
+    """Measure: those values of `of` that `names` has."""
+
+    of: Measure
+    names: tuple[str, ...]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return tuple(self.of.units[self.of.names.index(name)] for name in self.names)
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        values = dict(zip(self.of.names, self.of(mesh), strict=True))
+        return np.array([values[name] for name in self.names])
 
 
 def cases(count: int, exemplars: int, names: Sequence[str], seed: int) -> list[tuple[int, tuple[str, ...]]]:
@@ -61,65 +80,95 @@ def cases(count: int, exemplars: int, names: Sequence[str], seed: int) -> list[t
 
 @dataclass(frozen=True, eq=False)
 class Studies:
-    """Cases of one body by one decoder."""
+    """Cases of one family by one decoder.
 
-    body: Body
+    Parameters
+    ----------
+    drag, reading
+        Measures of what is produced: its drag, and its parameters by the names that the bank has.
+    code
+        What tells both, and the family, from others.
+    """
+
+    bench: Bench
     bank: lampopt.Bank
-    reading: Inverse
+    drag: Measure
+    reading: Measure
+    code: list[object]
 
     def study(self, reference: int, held: tuple[str, ...], turns: int) -> lampopt.Study:
-        judge = self.body.judge
         return lampopt.Study(
             self.bank,
             keep=held,
             reference=self.bank.names[reference],
             objective=lampopt.Reduce("drag", by=CUT),
-            measures={"judge": Drag(judge), "family": self.reading},
-            measured={"drag": "judge.drag", **{name: f"family.{name}" for name in held}},
+            measures={"truth": self.drag, "family": self.reading},
+            measured={"drag": "truth.drag", **{name: f"family.{name}" for name in held}},
             turns=turns,
-            resolution=self.body.bench.resolution,
+            resolution=self.bench.resolution,
         )
 
     def known(self, *more: object) -> list[object]:
-        bench = self.body.bench
-        code = [source(inverse), bench.identity(self.bank)]
-        return ["drag", *code, self.body.where(np.zeros(0)), *more]
+        return ["drag", *self.code, self.bench.identity(self.bank), *more]
 
     def reference(self, number: int) -> Row:
         """What is measured on a reference as the bank makes it."""
 
         def make() -> Row:
-            alone = lampopt.Study(self.bank, reference=self.bank.names[number], resolution=self.body.bench.resolution)
-            mesh = lampopt.run(alone, plugins=self.body.bench.plugins).design.mesh
+            alone = lampopt.Study(self.bank, reference=self.bank.names[number], resolution=self.bench.resolution)
+            mesh = lampopt.run(alone, plugins=self.bench.plugins).design.mesh
             return self.read(mesh)
 
-        return self.body.bench.scores.get(self.known("reference", number), make)
+        return self.bench.scores.get(self.known("reference", number), make)
 
     def case(self, reference: int, held: tuple[str, ...], turns: int) -> Row:
         def make() -> Row:
-            result = lampopt.run(self.study(reference, held, turns), plugins=self.body.bench.plugins)
+            result = lampopt.run(self.study(reference, held, turns), plugins=self.bench.plugins)
             turned = result.provenance.get("turns", 0)
             return judged(result) | {"read": self.read(result.design.mesh), "turns": turned}
 
-        return self.body.bench.scores.get(self.known("case", reference, list(held), turns, CUT), make)
+        return self.bench.scores.get(self.known("case", reference, list(held), turns, CUT), make)
 
     def read(self, mesh: Trimesh | None) -> Row:
         """Drag and parameters of a mesh; where there is none, or something cannot be read, NaN (None in JSON)."""
         if mesh is None:
             return {"drag": None, "parameters": None}
-        values = self.reading(mesh)
+        try:
+            values = self.reading(mesh)
+        except MeasureError:
+            values = np.full(1, np.nan)
         return {
-            "drag": float(self.body.judge.drag(mesh)),
+            "drag": float(self.drag(mesh)[0]),
             "parameters": values.tolist() if np.isfinite(values).all() else None,
         }
 
 
+def of_body(bench: Bench, judge: ModuleType, name: str, notes: list[str]) -> Studies:
+    """A real body's morphs; drag is the judge's stand-in."""
+    body = Body(bench, judge, name)
+    bank = body.bank(body.exemplars(), bench.decoder, notes)
+    return Studies(bench, bank, Drag(judge.drag), Inverse.of(judge, name), [source(inverse), body.where(np.zeros(0))])
+
+
+def of_aircraft(bench: Bench) -> Studies:
+    """Blended wing bodies; drag is AeroBuildup's."""
+    family = bench.plugins.make("source", lampopt.Spec("bwb", count=AIRCRAFT, seed=bench.seed, labels="aerobuildup"))
+    with bench.stage(f"{BWB}: labels of {AIRCRAFT}"):
+        found = family()
+    place = [q.name for q in found.label_space].index("cd_aerobuildup")
+    found = replace(found, labels=found.labels[:, [place]], label_space=(Parameter("drag"),))
+    flow, shape = (bench.plugins.make("measure", name) for name in ("aerosandbox", "bwb"))
+    names = tuple(q.name for q in found.space)
+    drag = Drag(lambda mesh: flow(mesh)[flow.names.index("cd")])
+    return Studies(bench, bench.bank(BWB, found, bench.decoder), drag, Some(shape, names), [BWB, source(type(flow))])
+
+
 def table(studies: Studies, count: int, turns: int) -> Row:
     """Decay, drag and held parameters of all cases; a case without a mesh counts as the reference itself."""
-    bench, judge = studies.body.bench, studies.body.judge
-    names, spread = list(judge.NAMES), np.asarray(judge.HIGH - judge.LOW)
+    bench = studies.bench
+    names, spread = [q.name for q in studies.bank.space], np.ptp(studies.bank.parameters, axis=0)
     rows, decays, drags, targets, held_at, held_found = [], [], [], [], [], []
-    with bench.stage(f"{studies.body.name}: {count} cases, {turns} turns") as tell:
+    with bench.stage(f"{count} cases, {turns} turns") as tell:
         for number, (reference, held) in enumerate(cases(count, len(studies.bank), names, bench.seed)):
             tell(number / count)
             first, row = studies.reference(reference), studies.case(reference, held, turns)
@@ -150,7 +199,7 @@ def table(studies: Studies, count: int, turns: int) -> Row:
 
 def main(given: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.drag", description=__doc__)
-    parser.add_argument("--body", default="Hybrid", help="of the judge's")
+    parser.add_argument("--body", default="Hybrid", help="of the judge's, or bwb")
     parser.add_argument("--cases", type=int, default=CASES)
     parser.add_argument("--turns", type=int, default=3, help="corrections in closed loop")
     options(parser, decoder="mesh-template")
@@ -159,13 +208,10 @@ def main(given: Sequence[str] | None = None) -> int:
     talk = Console(stderr=True)
     tables = {}
     try:
-        judge = judge_at(args.judge)
         bench = Bench.of(args, talk)
         with threads(args.threads):
-            body = Body(bench, judge, args.body)
-            cars = body.exemplars()
-            bank = body.bank(cars, bench.decoder, notes := [])
-            studies = Studies(body, bank, Inverse.of(judge, args.body))
+            notes = list[str]()
+            studies = of_aircraft(bench) if args.body == BWB else of_body(bench, judge_at(args.judge), args.body, notes)
             for name, turns in (("open loop", 0), ("closed loop", args.turns)):
                 tables[name] = table(studies, args.cases, turns)
                 tables[name]["notes"] += notes

@@ -1,4 +1,4 @@
-"""Parametric families whose true mesh is known at any parameters."""
+"""Parametric families whose true mesh is known at any parameters, and the flow about wings by AeroSandbox."""
 
 from lampopt import hookimpl
 
@@ -14,3 +14,9 @@ def lampopt_sources() -> dict[str, str]:
         "morph": "lampopt_families.morph:MorphSource",
         "plate": "lampopt_families.plate:PlateSource",
     }
+
+
+@hookimpl
+def lampopt_measures() -> dict[str, str]:
+    """Measures by name."""
+    return {"aerosandbox": "lampopt_families.wing_flow:WingFlow"}

@@ -15,7 +15,7 @@ from .bwb import Stations, camber, half_thickness, stations
 
 METHODS = {"aerobuildup": "AeroBuildup", "vlm": "VortexLatticeMethod"}
 COEFFICIENTS = ("cl", "cd", "cm", "ld")
-LATTICE = {"spanwise_resolution": 8, "chordwise_resolution": 8}  # vortices of a panel
+CHORDWISE, SPANWISE = 8, 8  # vortices between two sections
 POINTS = 60  # of an airfoil, on each side
 METRE = 1e-3  # of a millimetre
 LIMITS = {"mach": (0.0, 0.9), "altitude": (-1000.0, 20_000.0), "alpha": (-30.0, 30.0), "beta": (-30.0, 30.0)}
@@ -122,7 +122,7 @@ def reference(at: Stations) -> tuple[float, float, float]:
 def airplane(at: Stations) -> Any:
     """The aircraft as an AeroSandbox `Airplane` [m], both sides, lofted through the same four sections."""
     area, chord, about = reference(at)
-    asb = _aerosandbox()
+    asb = aerosandbox()
     sections = [
         asb.WingXSec(
             xyz_le=[x * METRE, y * METRE, 0.0],
@@ -144,19 +144,21 @@ def outline(thickness: float) -> Array:
     return np.concatenate([upper[::-1], lower[1:]])
 
 
-def evaluated(airplane: Any, method: str, condition: Condition) -> tuple[float, float, float]:
+def evaluated(airplane: Any, method: str, condition: Condition, spanwise: int = SPANWISE) -> tuple[float, float, float]:
     """Lift, drag and pitching moment coefficient of an AeroSandbox `Airplane`, by its own reference.
+
+    A vortex lattice has so many vortices `spanwise` between two sections.
 
     Raises InputError for an unknown method, PluginError without AeroSandbox.
     """
     if method not in METHODS:
         raise InputError(f"bwb: method: expected one of {', '.join(METHODS)}, got {method!r:.100}")
-    asb = _aerosandbox()
+    asb = aerosandbox()
     air = asb.Atmosphere(altitude=condition.altitude)
     point = asb.OperatingPoint(
         air, velocity=condition.mach * air.speed_of_sound(), alpha=condition.alpha, beta=condition.beta
     )
-    options = LATTICE if method == "vlm" else {}
+    options = {"spanwise_resolution": spanwise, "chordwise_resolution": CHORDWISE} if method == "vlm" else {}
     found = getattr(asb, METHODS[method])(airplane=airplane, op_point=point, **options).run()
     cl, cd, cm = (float(np.squeeze(found[name])) for name in ("CL", "CD", "Cm"))
     return cl, cd, cm
@@ -172,7 +174,7 @@ def labels(parameters: Array, method: str, condition: Condition) -> tuple[Array,
     return np.array(rows), tuple(Parameter(f"{name}_{method}", "") for name in COEFFICIENTS)
 
 
-def _aerosandbox() -> Any:
+def aerosandbox() -> Any:
     """AeroSandbox. Raises PluginError without it."""
     try:
         import aerosandbox

@@ -1,0 +1,197 @@
+"""Lift, drag and pitching moment of any winged mesh: its sections across become an AeroSandbox aircraft."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lampopt.errors import InputError, MeasureError
+from lampopt.types import Array
+from lampopt.units import factor
+
+from .bwb_aero import COEFFICIENTS, METHODS, POINTS, Condition, aerosandbox, evaluated
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+STATIONS = (6, 60)  # sections: too few lose the planform, many more tell nothing
+FIRST, LAST = 0.003, 0.985  # of the half span: where the innermost and the outermost section are cut
+ALONE = 0.02  # of the extent across: how far beyond the plane of symmetry a half model may reach
+
+
+@dataclass(frozen=True)
+class WingFlow:
+    """Coefficients of an aircraft, by AeroSandbox (the extra `aero`), of the sections of its mesh.
+
+    x to the rear, y across, z up; a half model, its plane of symmetry at y = 0, or a whole one. Each section is cut
+    from the mesh and becomes an airfoil with its chord, twist and height. Of reference are the planform area and the
+    mean aerodynamic chord of the sections; the moment is about its quarter, at the noses' mean height.
+
+    Parameters
+    ----------
+    method
+        `aerobuildup`: sections by NeuralFoil, corrected for the planform; `vlm`: vortex lattice, inviscid: its drag is
+        the induced one alone, and depends by up to 15 % on how the lattice lies on a planform with kinks: compare
+        designs by one number of stations.
+    mach, altitude, alpha, beta
+        Flight condition: Mach number, altitude [m], angles of attack and sideslip [deg].
+    stations
+        Sections of the half span.
+    unit
+        The mesh's unit of length, where it says none itself; Reynolds' number depends on it.
+
+    Raises
+    ------
+    InputError
+        For options that make no flow.
+    """
+
+    method: str = "aerobuildup"
+    mach: float = 0.3
+    altitude: float = 0.0
+    alpha: float = 4.0
+    beta: float = 0.0
+    stations: int = 16
+    unit: str = "m"
+
+    names = COEFFICIENTS
+    units = ("",) * len(COEFFICIENTS)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"aerosandbox: method: expected one of {', '.join(METHODS)}, got {self.method!r:.100}")
+        if not isinstance(self.stations, int) or not STATIONS[0] <= self.stations <= STATIONS[1]:
+            raise InputError(
+                f"aerosandbox: stations: expected a whole number from {STATIONS[0]} to {STATIONS[1]}, got "
+                f"{self.stations!r:.100}"
+            )
+        factor(self.unit, "m", "aerosandbox: unit")
+        _ = self._condition
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        """Coefficients of lift, drag and pitching moment, and lift over drag (4,).
+
+        Raises
+        ------
+        MeasureError
+            If it is no wing: nothing extends along y, or a section is open or has no length.
+        PluginError
+            Without AeroSandbox.
+        """
+        metre = factor(mesh.units or self.unit, "m", "aerosandbox: unit")
+        cl, cd, cm = evaluated(airplane(mesh, self.stations, metre), self.method, self._condition, spanwise=1)
+        return np.array([cl, cd, cm, cl / cd])
+
+    @property
+    def _condition(self) -> Condition:
+        return Condition(self.mach, self.altitude, self.alpha, self.beta)
+
+    def example_mesh(self) -> Trimesh:
+        """A small half aircraft."""
+        from .bwb import HIGH, LOW, bwb_mesh
+
+        return bwb_mesh((np.array(LOW) + HIGH) / 2, chordwise=16, spanwise=24)
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A section across, at `y` from the plane of symmetry: nose (x, z), chord, twist [deg, nose up], airfoil (p, 2)."""
+
+    y: float
+    nose: Array
+    chord: float
+    twist: float
+    outline: Array
+
+
+def airplane(mesh: Trimesh, stations: int, metre: float) -> Any:
+    """The aircraft of a mesh of which one length unit is `metre` metres, as an AeroSandbox `Airplane`."""
+    asb = aerosandbox()
+    found = sections(mesh, stations)
+    y = metre * np.array([section.y for section in found])
+    chord = metre * np.array([section.chord for section in found])
+    nose = metre * np.array([section.nose for section in found])
+    width = np.diff(y)
+    area = float((chord[:-1] + chord[1:]) @ width)  # both sides
+    mean = 2 / area * float(width @ (chord[:-1] ** 2 + chord[:-1] * chord[1:] + chord[1:] ** 2)) / 3
+    quarter = nose[:, 0] + chord / 4
+    about, height = (float(np.trapezoid(at * chord, y) * 2 / area) for at in (quarter, nose[:, 1]))
+    wing = asb.Wing(
+        name="wing",
+        symmetric=True,
+        xsecs=[
+            asb.WingXSec(
+                xyz_le=[x, at, z],
+                chord=length,
+                twist=section.twist,
+                airfoil=asb.Airfoil(name=f"section {k}", coordinates=section.outline),
+            )
+            for k, (section, (x, z), at, length) in enumerate(zip(found, nose, y, chord, strict=True))
+        ],
+    )
+    return asb.Airplane(
+        name="mesh", wings=[wing], xyz_ref=[about, 0.0, height], s_ref=area, c_ref=mean, b_ref=2 * float(y[-1])
+    )
+
+
+def sections(mesh: Trimesh, stations: int) -> list[Section]:
+    """Sections of the half span from the plane of symmetry to the tip, the outer ones nearer to one another."""
+    if len(mesh.faces) == 0 or not np.ptp(mesh.bounds[:, 1]) > 0:
+        raise MeasureError("aerosandbox: expected a wing that extends along y, got a mesh without extent across")
+    low, high = mesh.bounds[:, 1]
+    beyond = ALONE * (high - low)
+    if low >= -beyond:
+        middle, tip = 0.0, float(high)
+    elif high <= beyond:
+        middle, tip = 0.0, float(low)
+    else:
+        middle, tip = float(low + high) / 2, float(high)
+    share = np.linspace(0, 1, stations)
+    share = share + 0.15 * np.sin(np.pi * share) / np.pi
+    cuts = np.clip(share, FIRST, LAST)
+    return [
+        _section(mesh, middle + at * (tip - middle), y * abs(tip - middle)) for at, y in zip(cuts, share, strict=True)
+    ]
+
+
+def _section(mesh: Trimesh, at: float, y: float) -> Section:
+    cut = mesh.section(plane_origin=[0, at, 0], plane_normal=[0, 1, 0])
+    loops = [] if cut is None else [np.asarray(loop)[:, [0, 2]] for loop in cut.discrete]
+    loops = [loop for loop in loops if len(loop) > 3 and np.allclose(loop[0], loop[-1])]
+    if not loops:
+        raise MeasureError(f"aerosandbox: the section across at y = {at:.4g} is open or empty: expected a closed wing")
+    loop = max(loops, key=lambda points: np.ptp(points[:, 0]))[:-1]
+    nose, tail = _end(loop, np.argmin), _end(loop, np.argmax)
+    along = tail - nose
+    chord = float(np.hypot(*along))
+    if not chord > 0:
+        raise MeasureError(f"aerosandbox: the section across at y = {at:.4g} has no length")
+    turn = np.array([[along[0], along[1]], [-along[1], along[0]]]) / chord**2
+    return Section(y, nose, chord, float(np.degrees(np.arctan2(-along[1], along[0]))), _airfoil((loop - nose) @ turn.T))
+
+
+def _end(loop: Array, which: Any) -> Array:
+    """The foremost or rearmost place of a section; of a blunt one the middle of its edge."""
+    x = loop[:, 0]
+    edge = np.abs(x - x[which(x)]) <= 1e-6 * np.ptp(x)
+    return np.asarray((loop[edge].min(0) + loop[edge].max(0)) / 2)
+
+
+def _airfoil(loop: Array) -> Array:
+    """A section of chord 1 from the tail over the upper side to the nose and back below."""
+    share = (1 - np.cos(np.linspace(0, np.pi, POINTS))) / 2
+    first, last = int(loop[:, 0].argmin()), int(loop[:, 0].argmax())
+    there = np.roll(loop, -first, axis=0)
+    cut = (last - first) % len(loop)
+    sides = there[: cut + 1], np.concatenate([there[cut:], there[:1]])[::-1]
+    heights = [np.interp(share, *_rising(side)) for side in sides]
+    upper, lower = sorted(heights, key=np.mean, reverse=True)
+    return np.concatenate([np.column_stack([share, upper])[::-1], np.column_stack([share, lower])[1:]])
+
+
+def _rising(side: Array) -> tuple[Array, Array]:
+    """Its points from nose to tail, those that turn back left out."""
+    x = np.maximum.accumulate(side[:, 0])
+    return x, side[:, 1]
