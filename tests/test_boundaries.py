@@ -46,7 +46,7 @@ LAYERS = (
     {"angles"},
     {"check"},
     {"goals", "chain", "replay"},
-    {"quantities", "terms"},
+    {"quantities", "terms", "secant"},
     {"safeguards"},
     {"holdout", "recommend"},
     {"calibrate", "compare", "extrapolation", "residuals"},
@@ -86,6 +86,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt.topology",
     "lampopt.threads",
     "lampopt.types",
+    "lampopt.units",
 }
 HEAVY = {"torch", "casadi", "nlopt", "trimesh", "skimage", "sklearn", "scipy", "igl", "pint", "pyarrow", "rich", "dask"}
 
