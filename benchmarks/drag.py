@@ -13,7 +13,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from types import ModuleType
 
 import numpy as np
 from rich.console import Console
@@ -143,11 +142,11 @@ class Studies:
         }
 
 
-def of_body(bench: Bench, judge: ModuleType, name: str, notes: list[str]) -> Studies:
+def of_body(body: Body, notes: list[str]) -> Studies:
     """A real body's morphs; drag is the judge's stand-in."""
-    body = Body(bench, judge, name)
-    bank = body.bank(body.exemplars(), bench.decoder, notes)
-    return Studies(bench, bank, Drag(judge.drag), Inverse.of(judge, name), [source(inverse), body.where(np.zeros(0))])
+    bench, judge = body.bench, body.judge
+    bank, reading = body.bank(body.exemplars(), bench.decoder, notes), Inverse.of(judge, body.name)
+    return Studies(bench, bank, Drag(judge.drag), reading, [source(inverse), body.where(np.zeros(0))])
 
 
 def of_aircraft(bench: Bench) -> Studies:
@@ -211,7 +210,10 @@ def main(given: Sequence[str] | None = None) -> int:
         bench = Bench.of(args, talk)
         with threads(args.threads):
             notes = list[str]()
-            studies = of_aircraft(bench) if args.body == BWB else of_body(bench, judge_at(args.judge), args.body, notes)
+            if args.body == BWB:
+                studies = of_aircraft(bench)
+            else:
+                studies = of_body(Body(bench, judge_at(args.judge), args.body), notes)
             for name, turns in (("open loop", 0), ("closed loop", args.turns)):
                 tables[name] = table(studies, args.cases, turns)
                 tables[name]["notes"] += notes

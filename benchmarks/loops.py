@@ -21,24 +21,23 @@ from lampopt.types import Array
 from .body import Body, judge_at
 from .common import Bench, Row, counts, judged, line, options, share, threads
 from .document import put, show, stamped
-from .drag import Studies
-from .inverse import Inverse
+from .drag import Studies, of_body
 
 FACTOR = 2.0
 REFERENCES = 6
 STEP = 0.5  # of the range, to the side where there is more of it
 
 
-def closed(studies: Studies, turns: int) -> Row:
+def closed(body: Body, studies: Studies, turns: int) -> Row:
     """Errors of all designs at the factor, before and after."""
-    body, bench = studies.body, studies.body.bench
+    bench = studies.bench
     spread = np.asarray(body.judge.HIGH - body.judge.LOW)
     found: dict[int, list[Row]] = {0: [], turns: []}
     with bench.stage(f"{body.name}: {len(body.targets(FACTOR))} designs at f={FACTOR:g}") as tell:
         for number, target in enumerate(body.targets(FACTOR)):
             tell(number / len(body.targets(FACTOR)))
             for count, rows in found.items():
-                rows.append(_made(studies, target, count))
+                rows.append(_made(body, studies, target, count))
     lines = []
     before, after = (_off(rows, spread, body.targets(FACTOR)) for rows in found.values())
     lines.append(line("measured error, open loop [range]", before))
@@ -55,8 +54,8 @@ def closed(studies: Studies, turns: int) -> Row:
     return {"rows": lines, "notes": [f"mean over {len(found[0])} designs and 8 parameters; {turns} corrections"]}
 
 
-def _made(studies: Studies, target: Array, turns: int) -> Row:
-    body, read = studies.body, studies.reading
+def _made(body: Body, studies: Studies, target: Array, turns: int) -> Row:
+    bench, read = studies.bench, studies.reading
 
     def make() -> Row:
         study = lampopt.Study(
@@ -65,14 +64,14 @@ def _made(studies: Studies, target: Array, turns: int) -> Row:
             measures={"family": read},
             measured={name: f"family.{name}" for name in read.names},
             turns=turns,
-            resolution=body.bench.resolution,
+            resolution=bench.resolution,
         )
-        result = lampopt.run(study, plugins=body.bench.plugins)
+        result = lampopt.run(study, plugins=bench.plugins)
         mesh = result.design.mesh
         error = None if mesh is None else body.error(mesh, target)
         return judged(result) | {"read": studies.read(mesh), "error": error}
 
-    return body.bench.scores.get(studies.known("loop", target.tolist(), turns, body.where(target)), make)
+    return bench.scores.get(studies.known("loop", target.tolist(), turns, body.where(target)), make)
 
 
 def _off(rows: list[Row], spread: Array, targets: Array) -> float:
@@ -85,9 +84,9 @@ def _off(rows: list[Row], spread: Array, targets: Array) -> float:
     return float(np.abs(np.array(read) - asked).mean())
 
 
-def neighbourhood(studies: Studies) -> Row:
+def neighbourhood(body: Body, studies: Studies) -> Row:
     """One parameter asked of a reference: how far the others move [range]."""
-    body, bench, bank = studies.body, studies.body.bench, studies.bank
+    bench, bank = studies.bench, studies.bank
     names, spread = list(body.judge.NAMES), np.asarray(body.judge.HIGH - body.judge.LOW)
     low, high = np.asarray(body.judge.LOW), np.asarray(body.judge.HIGH)
     moved, asked, rows = [], [], []
@@ -115,14 +114,14 @@ def neighbourhood(studies: Studies) -> Row:
 
 def _near(studies: Studies, reference: int, name: str, value: float) -> Row:
     def make() -> Row:
-        resolution = studies.body.bench.resolution
+        resolution = studies.bench.resolution
         study = lampopt.Study(
             studies.bank, targets={name: value}, reference=studies.bank.names[reference], resolution=resolution
         )
-        result = lampopt.run(study, plugins=studies.body.bench.plugins)
+        result = lampopt.run(study, plugins=studies.bench.plugins)
         return judged(result) | {"read": studies.read(result.design.mesh)}
 
-    return studies.body.bench.scores.get(studies.known("near", reference, name, value), make)
+    return studies.bench.scores.get(studies.known("near", reference, name, value), make)
 
 
 def main(given: Sequence[str] | None = None) -> int:
@@ -139,13 +138,11 @@ def main(given: Sequence[str] | None = None) -> int:
         bench = Bench.of(args, talk)
         with threads(args.threads):
             for name in args.body or list(judge.LENGTH):
-                body = Body(bench, judge, name)
-                cars = body.exemplars()
-                bank = body.bank(cars, bench.decoder, notes := [])
-                studies = Studies(body, bank, Inverse.of(judge, name))
+                body, notes = Body(bench, judge, name), list[str]()
+                studies = of_body(body, notes)
                 for what, table in (
-                    ("closed loop", closed(studies, args.turns)),
-                    ("neighbourhood", neighbourhood(studies)),
+                    ("closed loop", closed(body, studies, args.turns)),
+                    ("neighbourhood", neighbourhood(body, studies)),
                 ):
                     table["notes"] += notes
                     tables[f"{name}, {what}"] = table
