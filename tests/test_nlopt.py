@@ -103,6 +103,12 @@ def rosenbrock(x):
     return 100 * off @ off + (1 - x[:-1]) @ (1 - x[:-1]), slope
 
 
+def benchmark(name):
+    """A module of benchmarks/, which is not installed."""
+    sys.path[:0] = [p for p in (str(Path(__file__).resolve().parent.parent),) if p not in sys.path]
+    return importlib.import_module(f"benchmarks.{name}")
+
+
 def asked_by(term):
     return np.array(term.asked)
 
@@ -372,14 +378,21 @@ def test_the_unit_of_an_objective_does_not_matter(unit, algorithm):
 def test_the_benchmark_of_searches_has_a_cell_for_all_that_can_be_taken():
     import lampopt_nlopt
 
-    sys.path[:0] = [p for p in (str(Path(__file__).resolve().parent.parent),) if p not in sys.path]
-    searches = importlib.import_module("benchmarks.searches")
+    searches = benchmark("searches")
     *lines, _, worst = searches.table(Plugins.load(extra=(("nlopt", lampopt_nlopt),)), range(1), (3,)).splitlines()
     cells = {line.split("`")[1]: re.findall(r"\d+", line) for line in lines[2:]}
     assert {name: len(found) for name, found in cells.items()} == dict.fromkeys(searches.ALGORITHMS, 5) | {"bobyqa": 3}
     assert float(worst) < 1e-2
     for name in searches.ALGORITHMS:
         assert f"`{name}` |" in (Path(__file__).parent.parent / "docs" / "solvers.md").read_text("utf-8")
+
+
+def test_a_search_from_where_squares_are_least_takes_no_longer():
+    """There the slope is rounding, by which nothing can be scaled."""
+    p, alpha, _ = benchmark("solver_problems").ball(3, 24)
+    mix = NLopt("slsqp", evaluations=45).solve(p)
+    assert mix.alpha == pytest.approx(alpha, abs=1e-3)
+    assert "tolerance is reached" in mix.message
 
 
 # Where is searched

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the centre
 EACH = 8  # evaluations a variable from which bobyqa finds more than cobyla
 MANY = 300  # variables beyond which slsqp, cubic in their number, takes longer than a mesh
+LEVEL = 1e-6  # a slope less than this part of the curvature is rounding: the start is where squares are least
 LATE = 5  # an end so soon after a point without a value was forced by it
 NOTHING = "hard rows leave nothing to search"
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
@@ -106,6 +107,8 @@ class Nonlinear:
         if algorithm not in BY_SLOPE:
             return search.run()
         slope = float(np.linalg.norm(space.axes.T @ first.slope))
+        if slope < LEVEL * (bends := float(np.linalg.norm(self.squares.curvature(space.axes), 2))):
+            slope = bends
         search = replace(search, unit=max(slope, self.options.tolerance * abs(first.cost)) or 1.0)
         try:
             return replace(search, until_met=algorithm in FROM_WITHIN and first.violation > SLACK).run()
