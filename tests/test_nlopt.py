@@ -387,12 +387,88 @@ def test_the_benchmark_of_searches_has_a_cell_for_all_that_can_be_taken():
         assert f"`{name}` |" in (Path(__file__).parent.parent / "docs" / "solvers.md").read_text("utf-8")
 
 
+# The last digits
+
+
+@pytest.mark.parametrize("n", [12, 24])
+@pytest.mark.parametrize("case", ["ball", "valley", "exponential", "outside", "square"])
+def test_where_terms_have_gradients_the_last_digits_are_those_of_closed_forms(case, n):
+    make = getattr(benchmark("solver_problems"), case)
+    for seed in range(3):
+        p, alpha, _ = make(seed, n)
+        mix = NLopt(evaluations=150, tolerance=1e-10).solve(p)
+        assert mix.alpha == pytest.approx(alpha, abs=1e-8)
+        assert "slsqp: " in mix.message
+
+
 def test_a_search_from_where_squares_are_least_takes_no_longer():
     """There the slope is rounding, by which nothing can be scaled."""
     p, alpha, _ = benchmark("solver_problems").ball(3, 24)
     mix = NLopt("slsqp", evaluations=45).solve(p)
     assert mix.alpha == pytest.approx(alpha, abs=1e-3)
     assert "tolerance is reached" in mix.message
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("algorithm", [*BY_SLOPE, "auto"])
+def test_the_answer_does_not_gain_by_being_beyond_a_limit(algorithm, unit):
+    over = Parameters(4)
+
+    def cost(x):
+        value, slope = suzuki(x)
+        return unit * value, unit * slope
+
+    mix = NLopt(algorithm).solve(over.problem(over.term(cost), constraints=[over.term(c) for c in SUZUKI]))
+    assert over.at(mix) == pytest.approx([0, 1, 2, -1], abs=1e-5)
+    assert max(c(over.at(mix))[0] for c in SUZUKI) <= 1e-7
+
+
+@pytest.mark.parametrize("limit", ["range", "bound"])
+def test_ranges_and_bounds_that_press_are_met_with_equality(limit):
+    """A sum of exp(x) is least where each x is; that all of alpha add to 1 is in its way."""
+    p = free(
+        4, objectives=(lambda a: (float(np.exp(a).sum()), np.exp(a)),),
+        **({"range_names": ("r",), "range_matrix": np.eye(4)[:1], "range_low": np.array([0.4])} if limit == "range"
+           else {"alpha_low": np.array([0.4, *np.full(3, -1.0)])}),
+    )  # fmt: skip
+    assert NLopt().solve(p).alpha == pytest.approx([0.4, 0.2, 0.2, 0.2], abs=1e-8)
+
+
+def test_what_has_the_noise_of_single_precision_is_spared_its_last_digits():
+    over, asked = Parameters(4), []
+    for noise in (False, True):
+        term, *kept = (over.term(function) for function in (suzuki, *SUZUKI))
+        kept[0].rough = noise
+        NLopt("ccsaq").solve(over.problem(term, constraints=kept))
+        asked.append(asked_by(term))
+    smooth, rough = asked
+    assert len(rough) < len(smooth)
+    assert np.array_equal(rough, smooth[: len(rough)])
+
+
+def test_the_last_digits_are_within_the_budget():
+    over, counts = Parameters(4), []
+    for most in (200, *range(20, 30)):
+        term, *kept = (over.term(function) for function in (suzuki, *SUZUKI))
+        mix = NLopt("ccsaq", evaluations=most).solve(over.problem(term, constraints=kept))
+        counts.append(len(term.asked))
+        assert (f"budget of {most} evaluations is spent" in mix.message) == (most < counts[0])
+    assert 20 < counts[0] < 30
+    assert counts[1:] == [min(most, counts[0]) for most in range(20, 30)]
+
+
+def test_a_wall_before_the_last_digits_is_kept_clear_of():
+    """The search ends near the least value; just there the term has none."""
+    over, centre = Parameters(3), np.array([0.6, 0.2, -0.3])
+
+    def drag(x):
+        value, slope = bowl(centre)(x)
+        return value + ((x - centre) ** 4).sum(), slope + 4 * (x - centre) ** 3
+
+    hole = over.term(walled(drag, lambda x: np.abs(x - centre).max() < 1e-4))
+    mix = NLopt("slsqp").solve(over.problem(hole))
+    assert 1e-4 <= np.abs(over.at(mix) - centre).max() < 1e-2
+    assert len(hole.asked) < 100
 
 
 # Where is searched

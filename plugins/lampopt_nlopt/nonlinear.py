@@ -13,6 +13,7 @@ from lampopt.types import BOUNDS, Array, Conflict, Problem
 
 from .evaluations import HELD, Evaluations, Point, Spent
 from .least import Lines, Squares
+from .polish import Polish
 from .search import BY_SLOPE, FROM_WITHIN, REACHED, SLACK, Met, Search
 from .space import Space
 
@@ -93,6 +94,9 @@ class Nonlinear:
             tried.append(algorithm)
             before = evaluations.best
             why = self._once(algorithm, evaluations, space, before or first)
+            by_slope = self.options.algorithm in ("auto", *BY_SLOPE)
+            if by_slope and Polish(evaluations, space, self.options.tolerance).run():
+                return REACHED
             forced = why != REACHED or any(evaluations.count - lost < LATE for lost in evaluations.lost)
             then, best = "cobyla" if self.options.algorithm == "auto" else algorithm, evaluations.best
             if best is None or not forced or (then == algorithm and not best.gained(before, self.options.tolerance)):
