@@ -423,6 +423,63 @@ def test_the_answer_does_not_gain_by_being_beyond_a_limit(algorithm, unit):
     assert max(c(over.at(mix))[0] for c in SUZUKI) <= 1e-7
 
 
+@pytest.mark.parametrize("unit", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("algorithm", BY_SLOPE)
+def test_the_unit_of_a_constraint_does_not_matter(algorithm, unit):
+    """What moves alpha by nothing may still be beyond a limit."""
+    over = Parameters(4)
+    kept = [over.term(lambda x, c=c: tuple(unit * part for part in c(x))) for c in SUZUKI]
+    mix = NLopt(algorithm).solve(over.problem(over.term(suzuki), constraints=kept))
+    assert over.at(mix) == pytest.approx([0, 1, 2, -1], abs=1e-5)
+    assert mix.status == "exact"
+
+
+@pytest.mark.parametrize("size", [[1, 3, 5], [1, 10, 3]])
+@pytest.mark.parametrize("algorithm", BY_SLOPE)
+def test_a_cost_that_bends_down_across_a_limit(algorithm, size):
+    """The largest box of three sides, size·x ≤ 3: each has a third of it."""
+    over = Parameters(3)
+    volume = over.term(lambda x: (-x.prod(), -np.array([np.delete(x, i).prod() for i in range(3)])))
+    p = over.problem(
+        volume, range_names=("size", "a", "b", "c"), range_matrix=np.vstack([size @ over.rows, over.rows]),
+        range_low=np.array([-np.inf, 0.1, 0.1, 0.1]), range_high=np.array([3.0, np.inf, np.inf, np.inf]),
+    )  # fmt: skip
+    assert size * over.at(NLopt(algorithm).solve(p)) == pytest.approx(np.ones(3), abs=1e-5)
+
+
+def test_what_bends_nothing_does_not_hide_the_last_digits():
+    """Four of 59 variables matter; a gradient of 1e4 tells of the others by rounding alone."""
+    over = Parameters(4, n=60)
+    term = over.term(lambda x: tuple(1e4 * part for part in suzuki(x)))
+    p = over.problem(term, constraints=[over.term(c) for c in SUZUKI])
+    assert over.at(NLopt("ccsaq", search="all").solve(p)) == pytest.approx([0, 1, 2, -1], abs=1e-5)
+
+
+def test_a_gradient_that_leads_astray_does_not_cost_the_best():
+    over, centre = Parameters(3), np.array([0.6, 0.2, -0.3])
+    term = over.term(lambda x: (bowl(centre)(x)[0], bowl(centre + 0.1)(x)[1]))
+    mix = NLopt("mma").solve(over.problem(term))
+    values = [bowl(centre)(over.rows @ alpha)[0] for alpha in term.asked]
+    assert bowl(centre)(over.at(mix))[0] == min(values) < values[-1]
+
+
+def test_where_newtons_steps_lead_no_nearer_they_end_soon():
+    """Noise that no term tells of."""
+    over, centre, counts = Parameters(4), np.array([0.6, 0.2, -0.3, 0.8]), []
+
+    def noisy(x):
+        value, slope = bowl(centre)(x)
+        return value, slope + 1e-2 * np.sin(1e5 * x)
+
+    for told in (True, False):
+        term = over.term(noisy)
+        term.rough = told
+        mix = NLopt("mma").solve(over.problem(term))
+        counts.append(len(term.asked))
+        assert over.at(mix) == pytest.approx(centre, abs=1e-2)
+    assert counts[0] < counts[1] <= counts[0] + 8
+
+
 @pytest.mark.parametrize("limit", ["range", "bound"])
 def test_ranges_and_bounds_that_press_are_met_with_equality(limit):
     """A sum of exp(x) is least where each x is; that all of alpha add to 1 is in its way."""
