@@ -793,6 +793,16 @@ def test_a_start_without_a_value_is_left_for_one_with(slope):
     assert "a off by" in mix.message
 
 
+def test_a_start_that_alone_has_a_value_is_the_answer():
+    """More is asked in vain than is remembered."""
+    over = Parameters(6)
+    start = over.rows.mean(1)
+    term = over.term(walled(bowl(start + 1), lambda x: np.abs(x - start).max() > 1e-9))
+    mix = NLopt(evaluations=500).solve(over.problem(term))
+    assert over.at(mix) == pytest.approx(start)
+    assert 64 < len(term.asked) < 500
+
+
 @pytest.mark.parametrize("algorithm", ["auto", *WITHOUT])
 def test_no_value_anywhere_is_a_failure(algorithm):
     term = Parameters(3).term(lambda x: (np.nan, x), slope=False)

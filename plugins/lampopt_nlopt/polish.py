@@ -147,7 +147,7 @@ class Polish:
         """(q, q) of the Lagrangian at `point`; of all points seen, the nearest have the last word."""
         curved = self.evaluations.squares.curvature(self.space.axes)
         terms = weights[len(weights) - len(point.kept) :]
-        seen = [p for p in self.evaluations.recent if p.steep]
+        seen = [point, *(p for p in self.evaluations.recent if p.steep)]
         apart = np.array([p.alpha - point.alpha for p in seen]) @ self._back
         slope = point.slope + terms @ point.slopes
         bent = np.array([p.slope + terms @ p.slopes - slope for p in seen]) @ self.space.axes
@@ -156,7 +156,7 @@ class Polish:
             rest = bent[i] - curved @ apart[i]
             along = float(apart[i] @ rest)
             if lengths[i] > APART and abs(along) > ASKEW * lengths[i] * np.linalg.norm(rest):
-                curved = curved + np.outer(rest, rest) / along
+                curved = curved + np.outer(rest, rest / along)
         return curved
 
     @cached_property
