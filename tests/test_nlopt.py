@@ -103,6 +103,12 @@ def rosenbrock(x):
     return 100 * off @ off + (1 - x[:-1]) @ (1 - x[:-1]), slope
 
 
+def benchmark(name):
+    """A module of benchmarks/, which is not installed."""
+    sys.path[:0] = [p for p in (str(Path(__file__).resolve().parent.parent),) if p not in sys.path]
+    return importlib.import_module(f"benchmarks.{name}")
+
+
 def asked_by(term):
     return np.array(term.asked)
 
@@ -372,14 +378,154 @@ def test_the_unit_of_an_objective_does_not_matter(unit, algorithm):
 def test_the_benchmark_of_searches_has_a_cell_for_all_that_can_be_taken():
     import lampopt_nlopt
 
-    sys.path[:0] = [p for p in (str(Path(__file__).resolve().parent.parent),) if p not in sys.path]
-    searches = importlib.import_module("benchmarks.searches")
+    searches = benchmark("searches")
     *lines, _, worst = searches.table(Plugins.load(extra=(("nlopt", lampopt_nlopt),)), range(1), (3,)).splitlines()
     cells = {line.split("`")[1]: re.findall(r"\d+", line) for line in lines[2:]}
     assert {name: len(found) for name, found in cells.items()} == dict.fromkeys(searches.ALGORITHMS, 5) | {"bobyqa": 3}
     assert float(worst) < 1e-2
     for name in searches.ALGORITHMS:
         assert f"`{name}` |" in (Path(__file__).parent.parent / "docs" / "solvers.md").read_text("utf-8")
+
+
+# The last digits
+
+
+@pytest.mark.parametrize("n", [12, 24])
+@pytest.mark.parametrize("case", ["ball", "valley", "exponential", "outside", "square"])
+def test_where_terms_have_gradients_the_last_digits_are_those_of_closed_forms(case, n):
+    make = getattr(benchmark("solver_problems"), case)
+    for seed in range(3):
+        p, alpha, _ = make(seed, n)
+        mix = NLopt(evaluations=150, tolerance=1e-10).solve(p)
+        assert mix.alpha == pytest.approx(alpha, abs=1e-8)
+        assert "slsqp: " in mix.message
+
+
+def test_a_search_from_where_squares_are_least_takes_no_longer():
+    """There the slope is rounding, by which nothing can be scaled."""
+    p, alpha, _ = benchmark("solver_problems").ball(3, 24)
+    mix = NLopt("slsqp", evaluations=45).solve(p)
+    assert mix.alpha == pytest.approx(alpha, abs=1e-3)
+    assert "tolerance is reached" in mix.message
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+@pytest.mark.parametrize("algorithm", [*BY_SLOPE, "auto"])
+def test_the_answer_does_not_gain_by_being_beyond_a_limit(algorithm, unit):
+    over = Parameters(4)
+
+    def cost(x):
+        value, slope = suzuki(x)
+        return unit * value, unit * slope
+
+    mix = NLopt(algorithm).solve(over.problem(over.term(cost), constraints=[over.term(c) for c in SUZUKI]))
+    assert over.at(mix) == pytest.approx([0, 1, 2, -1], abs=1e-5)
+    assert max(c(over.at(mix))[0] for c in SUZUKI) <= 1e-7
+
+
+@pytest.mark.parametrize("unit", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("algorithm", BY_SLOPE)
+def test_the_unit_of_a_constraint_does_not_matter(algorithm, unit):
+    """What moves alpha by nothing may still be beyond a limit."""
+    over = Parameters(4)
+    kept = [over.term(lambda x, c=c: tuple(unit * part for part in c(x))) for c in SUZUKI]
+    mix = NLopt(algorithm).solve(over.problem(over.term(suzuki), constraints=kept))
+    assert over.at(mix) == pytest.approx([0, 1, 2, -1], abs=1e-5)
+    assert mix.status == "exact"
+
+
+@pytest.mark.parametrize("size", [[1, 3, 5], [1, 10, 3]])
+@pytest.mark.parametrize("algorithm", BY_SLOPE)
+def test_a_cost_that_bends_down_across_a_limit(algorithm, size):
+    """The largest box of three sides, size·x ≤ 3: each has a third of it."""
+    over = Parameters(3)
+    volume = over.term(lambda x: (-x.prod(), -np.array([np.delete(x, i).prod() for i in range(3)])))
+    p = over.problem(
+        volume, range_names=("size", "a", "b", "c"), range_matrix=np.vstack([size @ over.rows, over.rows]),
+        range_low=np.array([-np.inf, 0.1, 0.1, 0.1]), range_high=np.array([3.0, np.inf, np.inf, np.inf]),
+    )  # fmt: skip
+    assert size * over.at(NLopt(algorithm).solve(p)) == pytest.approx(np.ones(3), abs=1e-5)
+
+
+def test_what_bends_nothing_does_not_hide_the_last_digits():
+    """Four of 59 variables matter; a gradient of 1e4 tells of the others by rounding alone."""
+    over = Parameters(4, n=60)
+    term = over.term(lambda x: tuple(1e4 * part for part in suzuki(x)))
+    p = over.problem(term, constraints=[over.term(c) for c in SUZUKI])
+    assert over.at(NLopt("ccsaq", search="all").solve(p)) == pytest.approx([0, 1, 2, -1], abs=1e-5)
+
+
+def test_a_gradient_that_leads_astray_does_not_cost_the_best():
+    over, centre = Parameters(3), np.array([0.6, 0.2, -0.3])
+    term = over.term(lambda x: (bowl(centre)(x)[0], bowl(centre + 0.1)(x)[1]))
+    mix = NLopt("mma").solve(over.problem(term))
+    values = [bowl(centre)(over.rows @ alpha)[0] for alpha in term.asked]
+    assert bowl(centre)(over.at(mix))[0] == min(values) < values[-1]
+
+
+def test_where_newtons_steps_lead_no_nearer_they_end_soon():
+    """Noise that no term tells of."""
+    over, centre, counts = Parameters(4), np.array([0.6, 0.2, -0.3, 0.8]), []
+
+    def noisy(x):
+        value, slope = bowl(centre)(x)
+        return value, slope + 1e-2 * np.sin(1e5 * x)
+
+    for told in (True, False):
+        term = over.term(noisy)
+        term.rough = told
+        mix = NLopt("mma").solve(over.problem(term))
+        counts.append(len(term.asked))
+        assert over.at(mix) == pytest.approx(centre, abs=1e-2)
+    assert counts[0] < counts[1] <= counts[0] + 8
+
+
+@pytest.mark.parametrize("limit", ["range", "bound"])
+def test_ranges_and_bounds_that_press_are_met_with_equality(limit):
+    """A sum of exp(x) is least where each x is; that all of alpha add to 1 is in its way."""
+    p = free(
+        4, objectives=(lambda a: (float(np.exp(a).sum()), np.exp(a)),),
+        **({"range_names": ("r",), "range_matrix": np.eye(4)[:1], "range_low": np.array([0.4])} if limit == "range"
+           else {"alpha_low": np.array([0.4, *np.full(3, -1.0)])}),
+    )  # fmt: skip
+    assert NLopt().solve(p).alpha == pytest.approx([0.4, 0.2, 0.2, 0.2], abs=1e-8)
+
+
+def test_what_has_the_noise_of_single_precision_is_spared_its_last_digits():
+    over, asked = Parameters(4), []
+    for noise in (False, True):
+        term, *kept = (over.term(function) for function in (suzuki, *SUZUKI))
+        kept[0].rough = noise
+        NLopt("ccsaq").solve(over.problem(term, constraints=kept))
+        asked.append(asked_by(term))
+    smooth, rough = asked
+    assert len(rough) < len(smooth)
+    assert np.array_equal(rough, smooth[: len(rough)])
+
+
+def test_the_last_digits_are_within_the_budget():
+    over, counts = Parameters(4), []
+    for most in (200, *range(20, 30)):
+        term, *kept = (over.term(function) for function in (suzuki, *SUZUKI))
+        mix = NLopt("ccsaq", evaluations=most).solve(over.problem(term, constraints=kept))
+        counts.append(len(term.asked))
+        assert (f"budget of {most} evaluations is spent" in mix.message) == (most < counts[0])
+    assert 20 < counts[0] < 30
+    assert counts[1:] == [min(most, counts[0]) for most in range(20, 30)]
+
+
+def test_a_wall_before_the_last_digits_is_kept_clear_of():
+    """The search ends near the least value; just there the term has none."""
+    over, centre = Parameters(3), np.array([0.6, 0.2, -0.3])
+
+    def drag(x):
+        value, slope = bowl(centre)(x)
+        return value + ((x - centre) ** 4).sum(), slope + 4 * (x - centre) ** 3
+
+    hole = over.term(walled(drag, lambda x: np.abs(x - centre).max() < 1e-4))
+    mix = NLopt("slsqp").solve(over.problem(hole))
+    assert 1e-4 <= np.abs(over.at(mix) - centre).max() < 1e-2
+    assert len(hole.asked) < 100
 
 
 # Where is searched
@@ -645,6 +791,16 @@ def test_a_start_without_a_value_is_left_for_one_with(slope):
     assert over.at(mix) == pytest.approx(centre, abs=5e-2)
     assert mix.status == "inexact"
     assert "a off by" in mix.message
+
+
+def test_a_start_that_alone_has_a_value_is_the_answer():
+    """More is asked in vain than is remembered."""
+    over = Parameters(6)
+    start = over.rows.mean(1)
+    term = over.term(walled(bowl(start + 1), lambda x: np.abs(x - start).max() > 1e-9))
+    mix = NLopt(evaluations=500).solve(over.problem(term))
+    assert over.at(mix) == pytest.approx(start)
+    assert 64 < len(term.asked) < 500
 
 
 @pytest.mark.parametrize("algorithm", ["auto", *WITHOUT])

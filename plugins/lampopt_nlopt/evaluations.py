@@ -91,6 +91,11 @@ class Evaluations:
     _recent: OrderedDict[bytes, Point] = field(default_factory=OrderedDict)
 
     @property
+    def recent(self) -> list[Point]:
+        """The last of the points, oldest first."""
+        return list(self._recent.values())
+
+    @property
     def terms(self) -> list[tuple[str, Term]]:
         """Constraints, then equalities, by their names."""
         p = self.problem

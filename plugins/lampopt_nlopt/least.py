@@ -79,6 +79,11 @@ class Squares:
         off = self.rows @ alpha - self.target
         return np.asarray(2 * self.rows.T @ (self.weight * off) + 2 * self.ridge * (alpha - self.centre))
 
+    def curvature(self, axes: Array) -> Array:
+        """(q, q) its second derivatives along `axes` (N, q)."""
+        along = np.sqrt(self.weight)[:, None] * (self.rows @ axes)
+        return np.asarray(2 * (along.T @ along + self.ridge * axes.T @ axes))
+
     def least(self, equal: Lines) -> Array:
         """Where it is least among what meets the targets `equal`, in closed form."""
         start, basis = equal.free(self.centre)

@@ -13,6 +13,7 @@ from lampopt.types import BOUNDS, Array, Conflict, Problem
 
 from .evaluations import HELD, Evaluations, Point, Spent
 from .least import Lines, Squares
+from .polish import Polish
 from .search import BY_SLOPE, FROM_WITHIN, REACHED, SLACK, Met, Search
 from .space import Space
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the centre
 EACH = 8  # evaluations a variable from which bobyqa finds more than cobyla
 MANY = 300  # variables beyond which slsqp, cubic in their number, takes longer than a mesh
+LEVEL = 1e-6  # a slope less than this part of the curvature is rounding: the start is where squares are least
 LATE = 5  # an end so soon after a point without a value was forced by it
 NOTHING = "hard rows leave nothing to search"
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
@@ -92,6 +94,9 @@ class Nonlinear:
             tried.append(algorithm)
             before = evaluations.best
             why = self._once(algorithm, evaluations, space, before or first)
+            by_slope = self.options.algorithm in ("auto", *BY_SLOPE)
+            if by_slope and Polish(evaluations, space, self.options.tolerance).run():
+                return REACHED
             forced = why != REACHED or any(evaluations.count - lost < LATE for lost in evaluations.lost)
             then, best = "cobyla" if self.options.algorithm == "auto" else algorithm, evaluations.best
             if best is None or not forced or (then == algorithm and not best.gained(before, self.options.tolerance)):
@@ -106,6 +111,8 @@ class Nonlinear:
         if algorithm not in BY_SLOPE:
             return search.run()
         slope = float(np.linalg.norm(space.axes.T @ first.slope))
+        if slope < LEVEL * (bends := float(np.linalg.norm(self.squares.curvature(space.axes), 2))):
+            slope = bends
         search = replace(search, unit=max(slope, self.options.tolerance * abs(first.cost)) or 1.0)
         try:
             return replace(search, until_met=algorithm in FROM_WITHIN and first.violation > SLACK).run()

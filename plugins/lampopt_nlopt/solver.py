@@ -30,15 +30,16 @@ class NLopt:
     """Terms of any kind, each evaluated once an alpha; targets, ranges and bounds on alpha; norm 2.
 
     By derivatives where all terms have them, else without, and at every evaluation within the sum of 1 and the hard
-    rows. Problems without terms are solved in closed form.
+    rows. Where derivatives lead, Newton's steps from the best point add the last digits, unless terms have the noise of
+    single precision. Problems without terms are solved in closed form.
 
     Parameters
     ----------
     algorithm
         "auto": slsqp where all terms have derivatives at the start (ccsaq beyond 300 variables); else bobyqa where
         nothing but hard rows has to be met and there are 8 evaluations a variable, cobyla otherwise. cobyla goes on
-        where these were forced to end. mma, ccsaq and bobyqa take no equalities, bobyqa no ranges, bounds and
-        constraints either.
+        where these were forced to end and Newton's steps do not lead to a least value either. mma, ccsaq and bobyqa
+        take no equalities, bobyqa no ranges, bounds and constraints either.
     ridge
         Weight of ‖alpha − centre‖² where the problem names none (paper, appendix P).
     evaluations
