@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -28,6 +28,9 @@ from .surface import Half, Surface, axes, cleaned
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+    from .pairs import Paired
+    from .refinement import Refined
 
 SCATTER: dict[Level, float] = {"coarse": 0.02, "medium": 0.015, "fine": 0.01}  # of drag, from placement to placement
 LIFT_SCATTER = 0.03
@@ -169,6 +172,29 @@ class OpenFoamDrag:
             points=points,
             pressure=pressure,
         )
+
+    def compared(self, mesh: Trimesh, reference: Trimesh) -> Paired:
+        """`mesh` held against `reference` on the same placements, halves both or whole. Raises as a call does."""
+        from .pairs import paired
+
+        both = [self._surface(mesh), self._surface(reference)]
+        alike = self if both[0].half == both[1].half else replace(self, half="no")
+        return paired(alike.solve(mesh), alike.solve(reference))
+
+    def refined(self, mesh: Trimesh, levels: Sequence[str] = tuple(CELL)) -> Refined:
+        """A grid study of `mesh`; a level that is not solved says why, and stops nothing. Raises where none is."""
+        from .refinement import refined
+
+        flows: dict[Level, Flow] = {}
+        failures: dict[Level, str] = {}
+        for drag in [replace(self, level=level) for level in levels]:
+            try:
+                flows[drag._level] = drag.solve(mesh)
+            except FlowError as error:
+                if error.outcome in ("absent", "refused-mesh", "disk-full"):
+                    raise
+                failures[drag._level] = str(error)
+        return refined(flows, failures)
 
     def interval(self, mesh: Trimesh, level: float) -> Array:
         """(6, 2) low and high at coverage `level`: Student's t over the placements. Raises as a call does."""

@@ -86,6 +86,8 @@ def solved(
 
 def _has_grid(place: Path) -> bool:
     log = place / "log.checkMesh"
+    if not (place / "constant" / "polyMesh").is_dir():
+        return False
     with suppress(OSError):
         return log.read_text(encoding="utf-8", errors="replace").rstrip().endswith("End")
     return False
@@ -121,9 +123,9 @@ def _checked(case: Path, grid: Grid, surface: Surface, entries: Entries) -> Chec
         found = re.search(pattern + r"\s*([-+.\deE]+)", text)
         return float(found.group(1).rstrip(".")) if found else float("nan")
 
-    cells, regions = number(r"\n\s+cells:"), number(r"Number of regions:")
+    cells, regions = number(r"(?m)^\s+cells:"), number(r"Number of regions:")
     skewness, angle = number(r"Max skewness ="), number(r"non-orthogonality Max:")
-    body = number(r"\n\s*body\s")
+    body = number(r"(?m)^\s*body\s")
     block = float(np.prod([_span(entries, axis) for axis in "xyz"]))
     missing = (block - number(r"Total volume =")) / (_volume(surface) * (0.5 if grid.half else 1.0))
     faults = [line.strip(" *") for line in text.splitlines() if line.lstrip().startswith("***")]
