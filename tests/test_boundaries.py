@@ -74,6 +74,7 @@ PUBLIC = {  # what a plugin may import
     "lampopt",
     "lampopt.decode",
     "lampopt.errors",
+    "lampopt.intake",
     "lampopt.intersections",
     "lampopt.measured",
     "lampopt.meshfile",

@@ -18,6 +18,7 @@ from lampopt.cli.bank import bank
 from lampopt.cli.compare import compare
 from lampopt.cli.designs import make, run, sweep
 from lampopt.cli.explore import explore
+from lampopt.cli.flow import flow, flow_study
 from lampopt.cli.front import front
 from lampopt.cli.intake import intake, wrap
 from lampopt.cli.learn import model, surrogate
@@ -46,6 +47,8 @@ for command in (
     intake,
     wrap,
     measure,
+    flow,
+    flow_study,
     surrogate,
     model,
     make,

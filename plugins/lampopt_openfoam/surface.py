@@ -1,0 +1,287 @@
+"""The surface a flow is solved around: cleaned, checked, turned into the wind, one length long.
+
+What falsifies drag is taken away or refused: parts that float beside the body, openings, faces turned anyhow,
+roughness. All that is done is said; none of it passes in silence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+import lampopt
+from lampopt.errors import EmptyMesh, InputError, MeasureError
+from lampopt.intake import repaired
+from lampopt.meshfile import join
+from lampopt.topology import topology
+from lampopt.types import Array
+
+from .outcomes import FlowError
+from .smooth import ROUGH, TOO_ROUGH, roughness, smoothed
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+Half = Literal["auto", "yes", "no"]
+
+ALIKE = 0.01  # of the length: how far left and right may be apart (99th percentile) to be solved as one
+SMALL = 0.1  # of the length: the largest extent of a part that floats and is taken for a leftover
+NEAR = 0.005  # of the length: parts nearer than that touch
+STANDS = 0.02  # of the length: how far above the lowest point a wheel may end
+GAP = 60  # parts of the length: the gap that a wrap is advised with
+DIGITS = 7  # of coordinates, in body lengths: what moving and scaling a mesh leaves the same
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A closed surface in body lengths, the wind along x, z up: nose at x = 0, middle at y = 0, lowest point at z = 0.
+
+    Parameters
+    ----------
+    vertices, faces
+        (V, 3) and (F, 3), in an order of their own, so that one shape always is one file.
+    length
+        Of the mesh, along the wind [its unit].
+    frontal_area
+        Seen along the wind [length²].
+    half
+        Whether left and right are alike enough to solve one of them.
+    notes
+        What was mended, in words.
+    """
+
+    vertices: Array
+    faces: Array
+    length: float
+    frontal_area: float
+    half: bool
+    notes: tuple[str, ...]
+
+    @property
+    def width(self) -> float:
+        """Across the wind [length]."""
+        return float(np.ptp(self.vertices[:, 1]))
+
+    @property
+    def height(self) -> float:
+        """[length]."""
+        return float(np.ptp(self.vertices[:, 2]))
+
+    @property
+    def digest(self) -> str:
+        """Of what a flow depends on."""
+        parts = (np.round(self.vertices, DIGITS).tobytes(), self.faces.tobytes(), bytes([self.half]))
+        return blake2b(b"".join(parts), digest_size=16).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Surface) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def stl(self, lift: float) -> bytes:
+        """As a file, raised by `lift` [length]."""
+        from trimesh import Trimesh
+        from trimesh.exchange.stl import export_stl
+
+        raised = np.round(self.vertices, DIGITS) + np.array([0, 0, lift])
+        data: bytes = export_stl(Trimesh(raised, self.faces, process=False))
+        return data
+
+
+def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
+    """`mesh` as a flow is solved around it.
+
+    Raises
+    ------
+    EmptyMesh
+        If it has no faces.
+    FlowError
+        "refused-mesh", saying what is wrong and what to do.
+    """
+    from trimesh import Trimesh
+
+    if len(mesh.faces) == 0:
+        raise EmptyMesh("expected a mesh with faces, got one without")
+    faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices, float)
+    if faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
+        raise _refused("expected faces between finite vertices, got some that are not there, or not finite")
+    plain = Trimesh(vertices @ axes(wind, up).T, faces, process=False)
+    plain.remove_unreferenced_vertices()
+    try:
+        join(plain)
+    except InputError as error:
+        raise _refused(str(error)) from error
+    plain, done = repaired(plain)
+    vertices, faces = np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64)
+    faces, dropped = _without_fragments(vertices, faces)
+    _check_closed(vertices, faces)
+    used, place = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], place.reshape(-1, 3)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    length = float(high[0] - low[0])
+    if not length > 0 or length < 0.05 * float((high - low).max()):
+        raise _refused(
+            f"expected a body that is long along the wind ({wind}), got one that measures {length:.4g} along it and "
+            f"{float((high - low).max()):.4g} across; say where the wind blows to by wind="
+        )
+    vertices = (vertices - [low[0], (low[1] + high[1]) / 2, low[2]]) / length
+    vertices, mended = _smooth(vertices, faces)
+    vertices, faces = _in_order(vertices, faces)
+    alike, said = _symmetry(vertices, faces, half)
+    notes = (*done, *dropped, *mended, *said)
+    return Surface(vertices, faces, length, _frontal_area(vertices, faces), alike, notes)
+
+
+def axes(wind: str, up: str) -> Array:
+    """(3, 3) rows: along the wind, across, up. Raises InputError where the options are no axes, or one axis."""
+    named = {sign + axis: s * np.eye(3)[k] for k, axis in enumerate("xyz") for sign, s in (("", 1), ("-", -1))}
+    for option, axis in (("wind", wind), ("up", up)):
+        if axis not in named:
+            raise InputError(f"{option}: expected one of x, -x, y, -y, z, -z, got {axis!r:.80}")
+    if wind.removeprefix("-") == up.removeprefix("-"):
+        raise InputError(f"wind: expected an axis across up = {up!r}, got {wind!r}")
+    return np.stack([named[wind], np.cross(named[up], named[wind]), named[up]])
+
+
+def _without_fragments(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
+    """The faces without small parts that float; larger ones have to stand on the ground, as wheels do."""
+    part = _parts(faces)
+    if part.max() == 0:
+        return faces, []
+    corners = vertices[faces]
+    low = np.array([corners[part == k].min(axis=(0, 1)) for k in range(part.max() + 1)])
+    high = np.array([corners[part == k].max(axis=(0, 1)) for k in range(part.max() + 1)])
+    body = int(np.argmax(np.prod(high - low, axis=1)))
+    length, ground = float((high - low)[body].max()), float(low[:, 2].min())
+    joined = _joined_to(body, vertices, faces, part, NEAR * length)
+    drop, kept, largest = [], 0, 0.0
+    ground = min((float(low[k, 2]) for k in range(len(low)) if k in joined), default=ground)
+    for k in sorted(set(range(len(low))) - joined):
+        size = float((high - low)[k].max())
+        if size <= SMALL * length:
+            drop.append(k)
+            largest = max(largest, size)
+        elif abs(low[k, 2] - min(ground, float(low[k, 2]))) <= STANDS * length:
+            kept += 1
+        else:
+            raise _refused(
+                f"expected one body and what touches it, got a part {size / length:.0%} as long as the body "
+                "that floats beside it; take it away, or join it"
+            )
+    said = []
+    if drop:
+        what = "part that floated" if len(drop) == 1 else "parts that floated"
+        said.append(f"dropped {len(drop)} {what} beside the body, up to {largest / length:.1%} of its length")
+    if kept:
+        said.append(f"kept {kept} parts apart from the body that stand on the ground")
+    return faces[~np.isin(part, drop)], said
+
+
+def _parts(faces: Array) -> Array:
+    """(F,) numbers of the parts that faces hold together by shared vertices."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = int(faces.max()) + 1
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    _, label = connected_components(coo_array((np.ones(len(ends), bool), tuple(ends.T)), (n, n)), directed=False)
+    return np.asarray(np.unique(label[faces[:, 0]], return_inverse=True)[1])
+
+
+def _joined_to(body: int, vertices: Array, faces: Array, part: Array, reach: float) -> set[int]:
+    """Parts that touch the body or lie within it, or touch one that does."""
+    import igl
+
+    joined, waiting = {body}, set(range(int(part.max()) + 1)) - {body}
+    grown = True
+    while grown and waiting:
+        grown = False
+        have = np.ascontiguousarray(faces[np.isin(part, [*joined])])
+        for k in sorted(waiting):
+            points = np.ascontiguousarray(vertices[np.unique(faces[part == k])])
+            squared = igl.point_mesh_squared_distance(points, vertices, have)[0]
+            inside = igl.fast_winding_number(vertices, have, points) > 0.5
+            if squared.min() <= reach**2 or inside.any():
+                joined.add(k)
+                waiting.discard(k)
+                grown = True
+    return joined
+
+
+def _check_closed(vertices: Array, faces: Array) -> None:
+    from trimesh import Trimesh
+
+    body = Trimesh(vertices, faces, process=False)
+    if topology(body).closed:
+        return
+    edges, counts = np.unique(np.sort(body.edges, axis=1), axis=0, return_counts=True)
+    loose = edges[counts == 1]
+    size = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
+    if len(loose):
+        wide = float(np.ptp(vertices[np.unique(loose)], axis=0).max())
+        what = f"got {len(loose)} edges with one face, spread over {wide / size:.1%} of its size"
+    elif (counts > 2).any():
+        what = f"got {int((counts > 2).sum())} edges with more than two faces"
+    else:
+        what = "got faces that disagree on which side is out"
+    raise _refused(
+        f"expected a closed surface, {what}, more than is mended safely; wrap it first: lampopt.wrap(mesh, "
+        f"gap={size / GAP:.2g})"
+    )
+
+
+def _smooth(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
+    rough = roughness(vertices, faces)
+    if rough <= ROUGH:
+        return vertices, []
+    better = vertices if rough > TOO_ROUGH else smoothed(vertices, faces)
+    if (left := roughness(better, faces)) > ROUGH:
+        raise _refused(
+            f"expected a smooth surface, got one that is rough by {rough:.2%} of the length, more than smoothing can "
+            f"take away (up to {TOO_ROUGH:.2%}); drag would be the roughness's: decode it finer, or smooth it first"
+        )
+    return better, [f"smoothed: rough by {rough:.2%} of the length before, {left:.2%} after"]
+
+
+def _symmetry(vertices: Array, faces: Array, half: Half) -> tuple[bool, list[str]]:
+    import igl
+
+    if half == "no":
+        return False, []
+    mirrored = np.ascontiguousarray(vertices * [1, -1, 1])
+    apart = np.sqrt(igl.point_mesh_squared_distance(mirrored, vertices, faces)[0])
+    off = float(np.quantile(apart, 0.99))
+    if off <= ALIKE:
+        said = f"left and right differ by up to {off:.2%} of the length: the side y > 0 is solved"
+        return True, [said] if off > 1e-3 else []
+    if half == "yes":
+        return True, [f"left and right differ by {off:.2%} of the length: the side y > 0 stands for both, as asked"]
+    return False, []
+
+
+def _in_order(vertices: Array, faces: Array) -> tuple[Array, Array]:
+    """The same surface however it was listed."""
+    order = np.lexsort(np.round(vertices, DIGITS).T)
+    place = np.argsort(order)
+    faces = place[faces]
+    turn = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    faces = np.take_along_axis(faces, turn, axis=1)
+    return np.ascontiguousarray(vertices[order]), np.ascontiguousarray(faces[np.lexsort(faces.T[::-1])])
+
+
+def _frontal_area(vertices: Array, faces: Array) -> float:
+    from trimesh import Trimesh
+
+    mesh = Trimesh(vertices, faces, process=False)
+    try:
+        return float(lampopt.measure(lampopt.Spec("frontal-area", forward="-x"), mesh)["frontal_area"])
+    except MeasureError as error:
+        raise _refused(f"its frontal area cannot be measured: {error}") from error
+
+
+def _refused(message: str) -> FlowError:
+    return FlowError(message, "refused-mesh")

@@ -1,0 +1,723 @@
+"""openfoam-drag without OpenFOAM: its parts against known truths, and every way to fail by fakes of the tools."""
+
+import importlib.metadata
+import json
+import os
+import pickle
+import shutil
+import signal
+import stat
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from lampopt.errors import EmptyMesh, InputError, MeasureError
+from lampopt.plugins import Plugins
+from lampopt_openfoam import case, grid, kept
+from lampopt_openfoam.drag import OpenFoamDrag, _mean
+from lampopt_openfoam.installed import _told, installed
+from lampopt_openfoam.outcomes import OUTCOMES, FlowError
+from lampopt_openfoam.pairs import change, paired
+from lampopt_openfoam.refinement import richardson
+from lampopt_openfoam.settled import judged, standard_error
+from lampopt_openfoam.smooth import ROUGH, roughness, smoothed
+from lampopt_openfoam.surface import axes, cleaned
+
+pytest.importorskip("foamlib", reason="the extra openfoam is not installed: pip install 'lampopt[openfoam]'")
+FLOW = {"wind": "x", "up": "z", "half": "auto"}
+
+
+# Settled: synthetic series with known means.
+
+
+def both(drag):
+    return np.stack([drag, np.zeros_like(drag)], axis=1)
+
+
+def test_a_constant_is_settled_once_there_is_enough_of_it():
+    assert judged(both(np.full(150, 0.3)), 0.005).state == "settling"
+    told = judged(both(np.full(200, 0.3)), 0.005)
+    assert (told.state, told.mean[0], told.error[0]) == ("settled", pytest.approx(0.3), pytest.approx(0, abs=1e-12))
+
+
+@pytest.mark.parametrize("correlated", [0.0, 0.9])
+def test_the_standard_error_of_noise_is_neither_too_small_nor_useless(correlated):
+    draw, ratios = np.random.default_rng(0), []
+    for _ in range(200):
+        noise, x = draw.normal(size=600), np.zeros(600)
+        for i in range(1, 600):
+            x[i] = correlated * x[i - 1] + noise[i]
+        truth = 1 / (1 - correlated) / np.sqrt(600)  # of the mean of such a process
+        ratios.append(standard_error(x) / truth)
+    assert 0.9 < np.median(ratios) < 1.8
+
+
+def test_noise_settles_when_its_mean_is_known_and_not_before():
+    series = 0.3 + 0.02 * np.random.default_rng(1).normal(size=1500)
+    assert judged(both(0.3 + 20 * (series - 0.3)), 0.005).state == "settling"
+    told = judged(both(series), 0.005)
+    assert told.state == "settled" and abs(told.mean[0] - 0.3) < 3 * told.error[0]
+
+
+def test_a_drift_does_not_settle():
+    assert judged(both(0.3 + 0.1 * np.linspace(0, 1, 600)), 0.005).state == "settling"
+    assert judged(both(0.3 + 0.3 * np.exp(-np.arange(260) / 200)), 0.005).state == "settling"
+    assert judged(both(0.3 + 0.3 * np.exp(-np.arange(1500) / 100)), 0.005).state == "settled"
+
+
+def test_an_oscillation_settles_by_its_mean():
+    turns = np.arange(1000)
+    told = judged(both(0.3 + 0.03 * np.sin(turns / 9)), 0.005)
+    assert told.state == "settled" and told.mean[0] == pytest.approx(0.3, abs=0.002)
+    assert judged(both(0.3 + 0.03 * np.sin(turns[:250] / 60)), 0.005).state == "settling"  # two thirds of a cycle
+
+
+@pytest.mark.parametrize("bad", [1e33, -1e33, np.nan, np.inf])
+def test_a_divergence_is_told_at_once(bad):
+    series = both(np.full(60, 0.3))
+    series[-1, 0] = bad
+    assert judged(series, 0.005).state == "diverged"
+    assert np.isnan(judged(series, 0.005).mean).all()
+
+
+def test_a_wild_start_is_no_divergence():
+    series = both(np.full(300, 0.3))
+    series[:20, 0] = -2e3
+    assert judged(series, 0.005).state == "settled"
+
+
+def test_a_lift_that_swings_keeps_a_steady_drag_waiting():
+    series = both(np.full(400, 0.3))
+    series[:, 1] = np.where(np.arange(400) < 250, -0.3, 0.3)
+    assert judged(series, 0.005).state == "settling"
+
+
+# Richardson, pairs, placements.
+
+
+@pytest.mark.parametrize("order", [1.0, 1.7, 2.0])
+def test_richardson_finds_order_and_limit(order):
+    cells = [0.25, 0.125, 1 / 12]
+    told = richardson(cells, [0.25 + 3 * h**order for h in cells])
+    assert told.kind == "observed" and told.monotone
+    assert (told.order, told.value) == (pytest.approx(order, abs=1e-6), pytest.approx(0.25, abs=1e-9))
+
+
+def test_richardson_says_when_values_turn():
+    told = richardson([0.25, 0.125, 1 / 12], [0.30, 0.26, 0.27])
+    assert (told.kind, told.monotone, told.order) == ("assumed", False, 2.0)
+    assert "do not go one way" in told.message and told.error > 0.01
+
+
+def test_richardson_does_not_believe_an_order_that_cannot_be():
+    told = richardson([0.25, 0.125, 1 / 12], [0.30, 0.2999, 0.28])
+    assert (told.kind, told.monotone) == ("assumed", True) and "no order" in told.message
+
+
+def test_placements_are_distinct_and_even():
+    points = np.array([grid.placement(k) for k in range(64)])
+    assert ((points >= 0) & (points < 1)).all()
+    apart = np.abs(points[:, None] - points[None]).max(axis=-1) + np.eye(64)
+    assert apart.min() > 0.05
+    assert np.abs(points.mean(axis=0) - 0.5).max() < 0.05
+
+
+@pytest.mark.parametrize("ground", ["fixed", "moving", "none"])
+@pytest.mark.parametrize("half", [True, False])
+def test_the_body_lies_within_the_boxes_and_these_in_the_domain(ground, half):
+    for number in range(5):
+        made = grid.Grid("coarse", number, 0.45, 0.33, half, ground, 0.0).settings()
+        low, high = (np.array([made[f"{axis}{end}"] for axis in "xyz"]) for end in ("Min", "Max"))
+        assert (low <= [-3, -0.225 * (not half), 0]).all() and (high > [6, 1, 1.9]).all()
+        assert low[2] == 0 or ground == "none"
+        for box in ("near", "wake"):
+            assert (np.array(made[f"{box}Min"]) <= [0, -0.225, 0]).all()
+            assert (np.array(made[f"{box}Max"]) >= [1, 0.225, 0.33]).all()
+        inside = np.array(made["inside"])
+        assert (inside > low).all() and (inside < high).all()
+        cells = (inside - low) / ((high - low) / [made["nx"], made["ny"], made["nz"]]) * 2**grid.FINEST
+        assert (np.abs(cells - cells.round()) > 1e-3).all()  # on no cell's face
+
+
+def test_finer_levels_have_smaller_cells():
+    assert grid.CELL["coarse"] > grid.CELL["medium"] > grid.CELL["fine"]
+
+
+def test_errors_of_placements_and_of_settling_add_up():
+    assert _mean([0.30, 0.32, 0.34], [0.0, 0.0, 0.0], 9) == (pytest.approx(0.32), pytest.approx(0.02 / np.sqrt(3)))
+    assert _mean([0.3], [0.003], 0.004)[1] == pytest.approx(0.005)
+
+
+def test_a_change_that_all_placements_share_is_told():
+    none = np.zeros(3)
+    assert change(np.array([-0.050, -0.052, -0.049]), none).verdict == "lower"
+    assert change(np.array([0.050, 0.052, 0.049]), none).verdict == "higher"
+    told = change(np.array([-0.05, 0.04, 0.02]), none)
+    assert told.verdict == "not told apart" and told.low < told.value < told.high and told.p > 0.05
+    assert change(np.array([-0.050, -0.052, -0.049]), np.full(3, 0.1)).verdict == "not told apart"
+
+
+# The surface.
+
+
+def car(scale=1.0):
+    """A box-like body with a cabin, mirrored exactly."""
+    low, cabin = trimesh.creation.box((4, 1.6, 0.6)), trimesh.creation.box((2, 1.4, 0.5))
+    cabin.apply_translation([0.2, 0, 0.5])
+    made = trimesh.boolean.union([low, cabin], engine="manifold")
+    for _ in range(2):
+        made = made.subdivide()
+    made.apply_scale(scale)
+    return made
+
+
+def test_a_clean_mesh_is_left_as_it_is():
+    made = cleaned(car(), **FLOW)
+    assert made.notes == () and made.half
+    assert (made.length, made.width, made.height) == (pytest.approx(4), pytest.approx(0.4), pytest.approx(1.05 / 4))
+    assert made.frontal_area == pytest.approx((1.6 * 0.6 + 1.4 * 0.45) / 16, rel=1e-6)
+
+
+def test_place_scale_and_order_make_no_difference():
+    first = cleaned(car(), **FLOW)
+    moved = car(1000.0)
+    moved.apply_translation([3e3, -5e2, 7e2])
+    draw = np.random.default_rng(0)
+    order = draw.permutation(len(moved.vertices))
+    faces = np.argsort(order)[moved.faces][draw.permutation(len(moved.faces))]
+    again = cleaned(trimesh.Trimesh(moved.vertices[order], faces, process=False), **FLOW)
+    assert again.digest == first.digest and again.stl(0.0) == first.stl(0.0)
+    assert again.length == pytest.approx(4000)
+
+
+def test_axes_turn_the_body_into_the_wind():
+    turned = car()
+    turned.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]))
+    assert cleaned(turned, wind="y", up="z", half="auto").length == pytest.approx(4)
+    for wind, up in (("x", "z"), ("-y", "z"), ("z", "-x")):
+        assert np.linalg.det(axes(wind, up)) == pytest.approx(1)
+    with pytest.raises(InputError, match="across up"):
+        axes("z", "-z")
+    with pytest.raises(InputError, match="wind: expected one of"):
+        axes("q", "z")
+
+
+def test_a_small_part_that_floats_is_dropped_with_a_note():
+    crumb = trimesh.creation.icosphere(1, 0.05)
+    crumb.apply_translation([0, 0, 1.5])
+    made = cleaned(trimesh.util.concatenate([car(), crumb]), **FLOW)
+    assert made.digest == cleaned(car(), **FLOW).digest
+    assert made.notes == ("dropped 1 part that floated beside the body, up to 2.5% of its length",)
+
+
+def test_a_part_that_touches_stays():
+    mirrors = [trimesh.creation.icosphere(2, 0.1).apply_translation([0, side * 0.8, 0.2]) for side in (-1, 1)]
+    assert cleaned(trimesh.util.concatenate([car(), *mirrors]), **FLOW).width == pytest.approx(1.8 / 4, rel=1e-2)
+
+
+def test_a_large_part_that_floats_is_refused_and_wheels_are_kept():
+    wing = trimesh.creation.box((1, 1, 0.1)).apply_translation([0, 0, 2.0])
+    with pytest.raises(FlowError, match=r"25% as long as the body that floats") as caught:
+        cleaned(trimesh.util.concatenate([car(), wing]), **FLOW)
+    assert caught.value.outcome == "refused-mesh"
+    wheels = [trimesh.creation.box((0.6, 0.2, 0.6)).apply_translation([x, y, -0.65]) for x in (-1, 1) for y in (-1, 1)]
+    assert "kept 4 parts" in cleaned(trimesh.util.concatenate([car(), *wheels]), **FLOW).notes[-1]
+
+
+def test_flipped_faces_are_turned_with_a_note():
+    mesh = car()
+    faces = np.array(mesh.faces)
+    turn = np.random.default_rng(0).random(len(faces)) < 0.3
+    faces[turn] = faces[turn][:, ::-1]
+    made = cleaned(trimesh.Trimesh(mesh.vertices, faces, process=False), **FLOW)
+    assert made.digest == cleaned(car(), **FLOW).digest
+    assert made.notes and made.notes[0].startswith("turned")
+
+
+def test_a_large_hole_is_refused_with_what_to_do():
+    mesh = car()
+    mesh.update_faces(mesh.triangles_center[:, 2] < 0.7)
+    with pytest.raises(FlowError, match=r"expected a closed surface.*lampopt\.wrap\(mesh, gap=") as caught:
+        cleaned(mesh, **FLOW)
+    assert caught.value.outcome == "refused-mesh" and isinstance(caught.value, MeasureError)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "what"),
+    [
+        (trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]], [[0, 1, 2]], process=False), "finite"),
+        (trimesh.creation.box((0.01, 1, 1)), "along the wind"),
+    ],
+)
+def test_what_is_no_body_is_refused(mesh, what):
+    with pytest.raises(FlowError, match=what):
+        cleaned(mesh, **FLOW)
+
+
+def test_an_empty_mesh_is_refused_as_by_other_measures():
+    with pytest.raises(EmptyMesh):
+        OpenFoamDrag()(trimesh.Trimesh(np.empty((0, 3)), np.empty((0, 3), int)))
+
+
+def rough(amplitude):
+    mesh = trimesh.creation.icosphere(5, 0.5)
+    height = amplitude * np.random.default_rng(0).normal(size=len(mesh.vertices))
+    return trimesh.Trimesh(mesh.vertices * (1 + height[:, None] / 0.5), mesh.faces, process=False)
+
+
+@pytest.mark.parametrize("amplitude", [1e-3, 3e-3])
+def test_roughness_is_measured_in_the_length(amplitude):
+    mesh = rough(amplitude)
+    assert roughness(mesh.vertices, mesh.faces) == pytest.approx(amplitude, rel=0.15)
+
+
+def test_what_is_smooth_or_has_edges_is_not_rough():
+    for mesh in (rough(0.0), car(0.25), trimesh.creation.box((1, 1, 1))):
+        assert roughness(mesh.vertices, np.asarray(mesh.faces)) < ROUGH / 3
+
+
+def test_smoothing_keeps_the_size():
+    mesh = rough(1e-3)
+    better = smoothed(mesh.vertices, mesh.faces)
+    assert roughness(better, mesh.faces) <= ROUGH
+    assert np.linalg.norm(better, axis=1).mean() == pytest.approx(0.5, abs=1e-3)
+    made = cleaned(mesh, **FLOW)
+    assert made.notes[0].startswith("smoothed: rough by 0.1")
+
+
+def test_what_is_too_rough_is_refused():
+    with pytest.raises(FlowError, match="rough by"):
+        cleaned(rough(8e-3), **FLOW)
+
+
+def test_a_lopsided_body_is_solved_whole():
+    mesh = car()
+    mesh.vertices[:, 2] += 0.2 * mesh.vertices[:, 1]
+    assert not cleaned(mesh, **FLOW).half
+    told = cleaned(mesh, wind="x", up="z", half="yes")
+    assert told.half and "as asked" in told.notes[-1]
+    assert not cleaned(car(), wind="x", up="z", half="no").half
+
+
+# The measure as a plugin.
+
+
+def test_it_is_installed_and_can_be_sent_to_a_worker():
+    plugins = Plugins.load()
+    made = plugins.make("measure", "openfoam-drag")
+    assert made == OpenFoamDrag() and pickle.loads(pickle.dumps(made)) == made
+    assert len(made.names) == len(made.units) == 6
+    names = {e.name for e in importlib.metadata.entry_points(group="lampopt")}
+    assert "openfoam" in names
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"level": "finest"}, "level: expected one of coarse, medium, fine"),
+        ({"ground": "wet"}, "ground: expected one of"),
+        ({"half": "maybe"}, "half: expected one of auto, yes, no"),
+        ({"placements": 0}, "placements: expected a whole number, 1 or more"),
+        ({"first": -1}, "first: expected"),
+        ({"reynolds": 0.0}, "reynolds: expected from"),
+        ({"wind": "z"}, "wind: expected an axis across up"),
+    ],
+)
+def test_wrong_options_are_refused(options, what):
+    with pytest.raises(InputError, match=what):
+        OpenFoamDrag(**options)
+
+
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        ("Using: OpenFOAM- (1912) - visit www.openfoam.com\nBuild:  (patch=200626)", ("openfoam.com", "1912")),
+        ("Using: OpenFOAM-v2312 (2312) - visit www.openfoam.com", ("openfoam.com", "2312")),
+        ("Using: OpenFOAM-10 (see https://openfoam.org)\nBuild: 10-c4cf895ad8fa", ("openfoam.org", "10")),
+        ("Using: OpenFOAM-dev (see https://openfoam.org)", ("openfoam.org", "99")),
+        ("sh: simpleFoam: not found", None),
+    ],
+)
+def test_versions_are_told_apart(said, found):
+    assert _told(said) == found
+
+
+# Fakes of the tools.
+
+SOLVE = """
+last=$(ls -d [1-9]* 2>/dev/null | sort -n | tail -1); last=${last:-0}
+mkdir -p postProcessing/forceCoeffs/$last
+out=postProcessing/forceCoeffs/$last/coefficient.dat
+echo '# Time Cd Cs Cl' > $out
+awk -v s=$last 'BEGIN { for (i = s + 1; i <= s + 260; i++) printf "%d %.6f 0 0.1\\n", i, VALUE }' >> $out
+echo 'smoothSolver:  Solving for Ux, Initial residual = 1e-05, Final residual = 1e-06'
+echo 'GAMG:  Solving for p, Initial residual = 1e-04, Final residual = 1e-06'
+n=0; while ! grep -q writeNow system/controlDict && [ $n -lt 100 ]; do sleep 0.05; n=$((n + 1)); done
+"""
+GRADIENT = """
+cat > '0/grad(Phi)' <<X
+FoamFile { version 2.0; format ascii; class volVectorField; object grad; }
+dimensions [0 1 -1 0 0 0 0];
+internalField nonuniform List<vector> 1((-1 0 0));
+X
+"""
+CHECK = """
+echo '    cells:            16000'
+echo '    Number of regions: 1 (OK).'
+echo '                    body     2485     2710  multiply connected'
+echo '    Total volume = 1.0.  Cell volumes OK.'
+echo '    Mesh non-orthogonality Max: 49.2 average: 9.5'
+echo '    Max skewness = 2.4 OK.'
+"""
+TOOLS = {
+    "blockMesh": "mkdir -p constant/polyMesh",
+    "snappyHexMesh": "",
+    "checkMesh": CHECK,
+    "potentialFoam": "",
+    "postProcess": GRADIENT,
+    "simpleFoam": SOLVE.replace("VALUE", "0.3 + 0.001 * sin(i / 3)"),
+}
+
+
+@pytest.fixture
+def fakes(tmp_path, monkeypatch):
+    """A function that puts fakes of all tools on the PATH, some of them with another body; returns their calls."""
+    folder = tmp_path / "bin"
+
+    def put(**bodies):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        for name, body in {**TOOLS, **bodies}.items():
+            script = folder / name
+            help_ = "case $1 in -help) echo 'Using: OpenFOAM-v2312 (2312) - visit www.openfoam.com'; exit;; esac"
+            script.write_text(f"#!/bin/sh\n{help_}\necho {name} >> {tmp_path}/calls\n{body}\necho End\n")
+            script.chmod(script.stat().st_mode | stat.S_IXUSR)
+        monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
+        return tmp_path / "calls"
+
+    return put
+
+
+def measure(tmp_path, **options):
+    return OpenFoamDrag(**{"placements": 1, "folder": str(tmp_path / "kept"), "timeout_s": 60.0, **options})
+
+
+def outcome(measure, mesh=None):
+    with pytest.raises(FlowError) as caught:
+        measure(car() if mesh is None else mesh)
+    assert caught.value.outcome in OUTCOMES and caught.value.outcome in str(caught.value)
+    return caught.value
+
+
+def test_a_flow_from_its_files_to_its_coefficients(tmp_path, fakes):
+    calls = fakes()
+    values = dict(zip(OpenFoamDrag.names, measure(tmp_path)(car()), strict=True))
+    assert values["drag"] == pytest.approx(0.3, abs=1e-3) and values["lift"] == pytest.approx(0.1)
+    assert values["frontal_area"] == pytest.approx(1.6 * 0.6 + 1.4 * 0.45) and values["cells"] == 16000
+    assert calls.read_text().split() == [*TOOLS]
+    measure(tmp_path)(car(10.0))  # another unit, the same flow
+    assert calls.read_text().split() == [*TOOLS]
+    flow = measure(tmp_path).solve(car())
+    assert flow.openfoam == "openfoam.com 2312" and flow.half and flow.placed[0].iterations == 260
+
+
+def test_the_case_says_what_was_asked(tmp_path, fakes):
+    from foamlib import FoamFile
+
+    fakes()
+    measure(tmp_path, ground="fixed", reynolds=1e6)(car())
+    (settings,) = (tmp_path / "kept").glob("*/system/settings")
+    told = FoamFile(settings)
+    assert told["groundFlow"] == "noSlip" and told["middleType"] == "symmetryPlane"
+    assert told["viscosity"] == pytest.approx(1e-6)
+    assert told["frontalArea"] == pytest.approx((1.6 * 0.6 + 1.4 * 0.45) / 16 / 2)  # half a model, half its area
+    assert "// " in settings.read_text().split("viscosity")[1].splitlines()[0]  # its comments stay
+
+
+def test_value_and_interval_without_a_folder_are_one_flow(tmp_path, fakes):
+    calls = fakes()
+    made = measure(tmp_path, folder="", placements=2, first=7)
+    values, ends = made(car()), made.interval(car(), 0.95)
+    assert calls.read_text().split() == [*TOOLS] * 2
+    assert (ends[:, 0] <= values).all() and (values <= ends[:, 1]).all() and ends[0, 1] > ends[0, 0]
+    assert not made.outside(car())
+    assert made.outside(trimesh.creation.box((1, 4, 0.2)))
+
+
+@pytest.mark.parametrize("option", [f.name for f in fields(OpenFoamDrag)])
+def test_results_are_kept_by_every_setting_that_matters(option, tmp_path, fakes):
+    other = {
+        "level": "medium", "placements": 2, "first": 1, "reynolds": 5e6, "wind": "-x", "half": "no", "ground": "fixed",
+        "clearance": 0.01, "command": "env", "timeout_s": 50.0,
+    }  # fmt: skip
+    if option not in other:  # up turns the body, the folder keeps
+        return
+    calls = fakes()
+    measure(tmp_path)(car())
+    measure(tmp_path, **{option: other[option]})(car())
+    same = option in ("command", "timeout_s")
+    assert calls.read_text().split().count("blockMesh") == (1 if same else 2)
+
+
+def test_absent_is_told(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert "no simpleFoam on the PATH" in str(outcome(measure(tmp_path)))
+    assert outcome(measure(tmp_path, command="no-such-container run")).outcome == "absent"
+
+
+def test_a_tool_that_is_missing_from_a_container_is_told(tmp_path, fakes):
+    fakes(snappyHexMesh="exit 127")
+    assert outcome(measure(tmp_path, command="env A={case}")).outcome == "absent"
+
+
+def test_a_version_that_is_not_told_is_absent(tmp_path, monkeypatch):
+    script = tmp_path / "simpleFoam"
+    script.write_text("#!/bin/sh\necho hello\n")
+    script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with pytest.raises(FlowError, match="does not say its version: hello"):
+        installed("", tmp_path)
+
+
+def test_divergence_is_told_and_ended_at_once(tmp_path, fakes):
+    endless = SOLVE.replace("VALUE", "i < 50 ? 0.3 : 1e33").replace("-lt 100", "-lt 1000")
+    fakes(simpleFoam=endless)
+    began = time.monotonic()
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "diverged" and "1e+33" in str(error) and "log.simpleFoam" in str(error)
+    assert time.monotonic() - began < 20
+
+
+def test_a_floating_point_exception_of_the_solver_is_a_divergence(tmp_path, fakes):
+    fakes(simpleFoam="kill -FPE $$")
+    assert outcome(measure(tmp_path)).outcome == "diverged"
+
+
+def test_what_never_settles_is_told(tmp_path, fakes):
+    calls = fakes(simpleFoam=SOLVE.replace("VALUE", "0.3 + i / 1000").replace("-lt 100", "-lt 1"))
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "not-settled" and "260 iterations" in str(error)
+    outcome(measure(tmp_path))  # it would come again: it is kept
+    assert calls.read_text().split().count("simpleFoam") == 1
+
+
+def test_a_flow_with_large_residuals_has_not_settled(tmp_path, fakes):
+    fakes(simpleFoam=TOOLS["simpleFoam"].replace("1e-04", "0.3"))
+    assert "residual 0.3" in str(outcome(measure(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "what"),
+    [
+        ("16000", "400", "400 cells, expected 1000 or more"),
+        ("regions: 1", "regions: 3", "a part of the air is cut off"),
+        ("2485", "0", "no face on the body"),
+        ("volume = 1.0", "volume = 1e9", "the air has got into it"),
+        ("skewness = 2.4", "skewness = 12", "skewness up to 12"),
+        ("Max: 49.2", "Max: 88", "non-orthogonality up to 88"),
+        ("    Mesh non", " ***Zero or negative cell volume detected\n    Mesh non", "negative cell volume"),
+    ],
+)
+def test_a_bad_grid_is_refused_saying_why(was, now, what, tmp_path, fakes):
+    assert was in CHECK
+    calls = fakes(checkMesh=CHECK.replace(was, now))
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "bad-grid" and what in str(error)
+    assert "simpleFoam" not in calls.read_text()
+
+
+def test_a_tool_with_an_error_of_its_own_is_told_with_its_words(tmp_path, fakes):
+    fakes(potentialFoam="echo '--> FOAM FATAL ERROR:'; echo cannot find entry nu; exit 1")
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "failed" and "cannot find entry nu" in str(error)
+    fakes(snappyHexMesh="kill -SEGV $$")
+    assert outcome(measure(tmp_path, first=1)).outcome == "bad-grid"
+
+
+def test_a_full_disk_is_told_before_and_during(tmp_path, fakes, monkeypatch):
+    fakes(snappyHexMesh="echo 'write failed: No space left on device'; exit 1")
+    assert outcome(measure(tmp_path)).outcome == "disk-full"
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    assert "free disk" in str(outcome(measure(tmp_path, first=3)))
+
+
+def test_a_record_that_cannot_be_written_is_a_full_disk(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(FlowError, match="disk-full"):
+        kept.write_pressure(tmp_path / "a.npz", np.zeros((1, 3)), np.zeros(1))
+    assert not list(tmp_path.iterdir())  # nothing half-written is left
+
+
+def test_time_is_up(tmp_path, fakes):
+    fakes(simpleFoam="sleep 30")
+    began = time.monotonic()
+    assert outcome(measure(tmp_path, timeout_s=1.5)).outcome == "timed-out"
+    assert time.monotonic() - began < 15
+
+
+FIELDS = "for f in U p k omega nut phi; do echo x > 100/$f; done"
+
+
+def test_a_killed_solver_goes_on_where_it_was(tmp_path, fakes):
+    half = SOLVE.replace("260", "100").replace("VALUE", "0.3").split("n=0;")[0] + f"mkdir 100; {FIELDS}; kill -KILL $$"
+    calls = fakes(simpleFoam=half)
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "killed" and "SIGKILL" in str(error)
+    calls.unlink()
+    fakes()
+    flow = measure(tmp_path).solve(car())
+    assert calls.read_text().split() == ["simpleFoam"]  # grid and start are there
+    assert flow.placed[0].iterations == 360 and flow.drag == pytest.approx(0.3, abs=1e-3)
+
+
+def test_a_grid_that_was_broken_off_is_made_again(tmp_path, fakes):
+    calls = fakes(snappyHexMesh="kill -TERM $$")
+    assert outcome(measure(tmp_path)).outcome == "killed"
+    calls.unlink()
+    fakes()
+    measure(tmp_path)(car())
+    assert calls.read_text().split() == [*TOOLS]
+
+
+def test_what_cannot_be_gone_on_with_is_begun_anew(tmp_path, fakes):
+    half = SOLVE.replace("260", "100").replace("VALUE", "0.3").split("n=0;")[0] + f"mkdir 100; {FIELDS}; kill -KILL $$"
+    fakes(simpleFoam=half)
+    outcome(measure(tmp_path))
+    broken = "if [ -d 100 ]; then echo '--> FOAM FATAL IO ERROR: premature end'; exit 1; fi\n" + TOOLS["simpleFoam"]
+    calls = fakes(simpleFoam=broken)
+    assert measure(tmp_path).solve(car()).placed[0].iterations == 260
+    assert calls.read_text().split().count("simpleFoam") == 3
+
+
+def test_an_interrupt_ends_the_tool(tmp_path, fakes, monkeypatch):
+    fakes(simpleFoam="echo $$ > pid; sleep 60")
+
+    def interrupted(self):
+        if list((tmp_path / "kept").glob("*/pid")):
+            raise KeyboardInterrupt
+        return False
+
+    monkeypatch.setattr("lampopt_openfoam.flow._Watch.look", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        measure(tmp_path)(car())
+    (pid,) = (tmp_path / "kept").glob("*/pid")
+    time.sleep(0.2)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid.read_text()), signal.SIGCONT)
+
+
+def test_what_a_killed_process_left_running_is_ended(tmp_path):
+    import subprocess
+
+    from lampopt_openfoam.running import end_left_over
+
+    left = subprocess.Popen(["sleep", "60"], cwd=tmp_path, start_new_session=True)
+    (tmp_path / "running").write_text(str(left.pid))
+    end_left_over(tmp_path)
+    assert left.wait(5) == -signal.SIGKILL
+    other = subprocess.Popen(["sleep", "60"], cwd="/", start_new_session=True)  # not of this case
+    (tmp_path / "running").write_text(str(other.pid))
+    end_left_over(tmp_path)
+    assert other.poll() is None
+    other.kill()
+    other.wait()
+
+
+@pytest.mark.parametrize("damage", ["", "{", '{"drag": 1}', "null", '{"number": 0, "drag": NaN}'])
+def test_a_damaged_record_is_made_again(damage, tmp_path, fakes):
+    calls = fakes()
+    first = measure(tmp_path)(car())
+    (record,) = (tmp_path / "kept").glob("*.json")
+    whole = json.loads(record.read_text())
+    record.write_text(damage)
+    assert measure(tmp_path)(car()) == pytest.approx(first)
+    assert calls.read_text().split().count("blockMesh") == 2
+    assert json.loads(record.read_text())["drag"] == whole["drag"]
+
+
+def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
+    fakes()
+    made = measure(tmp_path, placements=3)
+    told = made.compared(car(), car(2.0))
+    assert told.drag.value == 0 and told.drag.verdict == "not told apart" and len(told.drag.by_placement) == 3
+    assert told.drag_area.value == pytest.approx(-0.75)
+    whole = replace(made, half="no").solve(car())
+    with pytest.raises(InputError, match="both of halves or both whole"):
+        paired(told.design, whole)
+    with pytest.raises(InputError, match="two or more common placements"):
+        paired(told.design, measure(tmp_path, placements=2, first=9).solve(car()))
+
+
+def test_a_study_goes_on_past_a_level_that_fails(tmp_path, fakes):
+    fakes(checkMesh="grep -q '^nx *80' system/settings && exit 3\n" + CHECK)
+    told = measure(tmp_path).refined(car())
+    assert [*told.flows] == ["coarse", "fine"] and told.drag is None
+    assert "bad-grid" in told.failures["medium"]
+    fakes()
+    told = measure(tmp_path, folder=str(tmp_path / "other")).refined(car())
+    assert len(told.flows) == 3 and told.drag is not None and not told.drag.monotone
+
+
+def test_the_cli_tells_people_and_programs(tmp_path, fakes, capsys):
+    from lampopt import cli
+
+    fakes()
+    mesh, folder = tmp_path / "car.stl", str(tmp_path / "kept")
+    car().export(mesh)
+    options = ["--folder", folder, "--set", "placements=2"]
+    assert cli.main(["flow", str(mesh), *options, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["drag"]["value"] == pytest.approx(0.3, abs=1e-3) and told["frontal_area"]["unit"] == "m^2"
+    assert cli.main(["flow", str(mesh), "--against", str(mesh), *options, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["change"]["drag"]["verdict"] == "not told apart"
+    assert cli.main(["flow-study", str(mesh), *options, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [*told["levels"]] == ["coarse", "medium", "fine"] and told["extrapolated"]["kind"] == "assumed"
+    for command in (["flow", str(mesh), "--against", str(mesh)], ["flow-study", str(mesh)]):
+        assert cli.main([*command, *options]) == 0
+        assert "drag" in capsys.readouterr().err
+    fakes(simpleFoam="kill -FPE $$")
+    assert cli.main(["flow", str(mesh), "--folder", str(tmp_path / "new"), "--json"]) == 2
+    assert "diverged" in json.loads(capsys.readouterr().out)["error"]["message"]
+    assert cli.main(["flow-study", str(mesh), "--levels", "finest"]) == 2
+
+
+def test_the_cli_says_when_the_measure_is_not_there(tmp_path, monkeypatch, capsys):
+    from lampopt import cli
+
+    monkeypatch.setenv("LAMPOPT_BLOCK", "openfoam")
+    assert cli.main(["flow", str(tmp_path / "car.stl")]) == 2
+    assert "the measure openfoam-drag is not there" in capsys.readouterr().err
+
+
+def test_templates_are_whole_and_every_setting_is_used():
+    from foamlib import FoamFile
+
+    text = "".join(path.read_text() for path in case.TEMPLATES.glob("*/*") if path.name != "settings")
+    settings = FoamFile(case.TEMPLATES / "system" / "settings")
+    for name in settings:
+        if name != "FoamFile":
+            assert f"${name}" in text, name
+    made = grid.Grid("coarse", 0, 0.4, 0.3, True, "fixed", 0.0).settings()
+    given = case.settings(reynolds=1e6, ground="none", half=True, frontal_area=0.1, iterations=10)
+    assert set(made) | set(given) <= set(settings)
+    for ground in case.GROUND.values():
+        assert set(ground) <= set(settings)
+
+
+def test_coefficients_are_read_by_their_columns(tmp_path):
+    for start, rows in (("0", "1 9 0.3 7 0.1\n2 9 0.31 7 0.1\n3 9 0.9 7 0.1\n"), ("2", "3 9 0.32 7 0.1\n4 9 0.3")):
+        folder = tmp_path / "postProcessing" / "forceCoeffs" / start
+        folder.mkdir(parents=True)
+        (folder / "forceCoeffs.dat").write_text("# Force coefficients\n# Time Cm Cd Cl(f) Cl\n" + rows)
+    assert case.coefficients(tmp_path).tolist() == [[0.3, 0.1], [0.31, 0.1], [0.32, 0.1]]
+    assert case.coefficients(Path(tmp_path) / "nothing").shape == (0, 2)
