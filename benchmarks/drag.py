@@ -10,9 +10,10 @@ Open loop is the paper's; in closed loop what was made is measured and the ask c
 from __future__ import annotations
 
 import argparse
+import hashlib
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from rich.console import Console
@@ -33,6 +34,7 @@ from .inverse import Inverse
 CUT = 0.10  # of the reference's drag
 CASES = 100
 BWB, AIRCRAFT = "bwb", 50  # the family without a judge, and its exemplars
+REMEMBERED = 256  # meshes whose values are kept
 MOST = 5  # parameters held at a time
 PAPER = {"decay": "2.7", "held": "0.087", "held R²": "0.938", "drag R²": "0.792"}
 
@@ -63,6 +65,30 @@ class Some:
     def __call__(self, mesh: Trimesh) -> Array:
         values = dict(zip(self.of.names, self.of(mesh), strict=True))
         return np.array([values[name] for name in self.names])
+
+
+@dataclass(frozen=True, eq=False)
+class Once:
+    """Measure: what `of` says, asked once of each mesh, since references and designs are read again and again."""
+
+    of: Measure
+    known: dict[bytes, Array] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.of.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.of.units
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        at = hashlib.blake2b(np.ascontiguousarray(mesh.triangles).tobytes()).digest()
+        if at not in self.known:
+            while len(self.known) >= REMEMBERED:
+                del self.known[next(iter(self.known))]
+            self.known[at] = self.of(mesh)
+        return self.known[at].copy()
 
 
 def cases(count: int, exemplars: int, names: Sequence[str], seed: int) -> list[tuple[int, tuple[str, ...]]]:
@@ -146,7 +172,7 @@ def of_body(body: Body, notes: list[str]) -> Studies:
     """A real body's morphs; drag is the judge's stand-in."""
     bench, judge = body.bench, body.judge
     bank, reading = body.bank(body.exemplars(), bench.decoder, notes), Inverse.of(judge, body.name)
-    return Studies(bench, bank, Drag(judge.drag), reading, [source(inverse), body.where(np.zeros(0))])
+    return Studies(bench, bank, Once(Drag(judge.drag)), Once(reading), [source(inverse), body.where(np.zeros(0))])
 
 
 def of_aircraft(bench: Bench) -> Studies:
@@ -159,7 +185,9 @@ def of_aircraft(bench: Bench) -> Studies:
     flow, shape = (bench.plugins.make("measure", name) for name in ("aerosandbox", "bwb"))
     names = tuple(q.name for q in found.space)
     drag = Drag(lambda mesh: flow(mesh)[flow.names.index("cd")])
-    return Studies(bench, bench.bank(BWB, found, bench.decoder), drag, Some(shape, names), [BWB, source(type(flow))])
+    return Studies(
+        bench, bench.bank(BWB, found, bench.decoder), Once(drag), Once(Some(shape, names)), [BWB, source(type(flow))]
+    )
 
 
 def table(studies: Studies, count: int, turns: int) -> Row:

@@ -14,6 +14,7 @@ from lampopt.front import Front, Reduction, front
 from lampopt.goals import Linear, Maximise, Minimise, Reduce
 from lampopt.hookspecs import hookimpl
 from lampopt.intake import intake, wrap
+from lampopt.label import label
 from lampopt.lamp import load_bank, store_bank
 from lampopt.loop import design, measure, report, results, run, sweep
 from lampopt.members import add_exemplars, remove_exemplars
@@ -67,6 +68,7 @@ __all__ = [
     "front",
     "hookimpl",
     "intake",
+    "label",
     "load_bank",
     "load_measure",
     "load_model",

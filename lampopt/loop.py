@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Grid = Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
+MEASURED = "measured"  # in a run folder: where measures keep what they work out
 log = logging.getLogger("lampopt")
 
 
@@ -246,6 +247,8 @@ def _results(
     ahead: int | None = None,
 ) -> Generator[Result, None, None]:
     """Check every target first, then yield the results one by one."""
+    if folder is not None:
+        task = task.keeping(path_of(folder, "folder").absolute() / MEASURED)
     asked = [task.asked(change) for change in changes]
     every = sorted({name for target in asked for name in target})
     for what, named in (("weights", task.study.weights), ("measured", task.study.measured)):

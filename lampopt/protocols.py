@@ -8,6 +8,7 @@ boundary. What the signatures cannot say is checked by `lampopt.testing`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from lampopt.types import Array, Bank, Check, Design, Exemplars, Mix, MixBatch, Needs, Problem
@@ -219,6 +220,14 @@ class Interval(Protocol):
 
     def outside(self, mesh: Trimesh) -> bool:
         """Whether `mesh` lies outside what the measure was made for."""
+
+
+@runtime_checkable
+class Keeping(Protocol):
+    """A measure that can keep what it works out, such as flow solutions: the same mesh is then not solved twice."""
+
+    def kept_in(self, folder: Path) -> Measure:
+        """The same measure, keeping it in `folder`; itself, where it was told another."""
 
 
 @runtime_checkable

@@ -27,7 +27,7 @@ from lampopt.identity import contents, given, hashed, learned, told
 from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
-from lampopt.protocols import Checker, Decoder, Measure, Model, Solver, State
+from lampopt.protocols import Checker, Decoder, Keeping, Measure, Model, Solver, State
 from lampopt.quantities import Quantities
 from lampopt.safeguards import judged_by
 from lampopt.solve import Posed, solve
@@ -90,6 +90,7 @@ class Task:
     measures: Mapping[str, Measure]
     models: Mapping[str, Model]
     plugins: Plugins
+    kept_in: Path | None = None
 
     @classmethod
     def of(cls, study: Study, plugins: Plugins | None) -> Task:
@@ -112,6 +113,14 @@ class Task:
         models = {name: _model(name, choice, plugins) for name, choice in study.models.items()}
         limits = Limits.of(bank, study.limits)
         return cls(study, bank, decoder_of(bank, plugins), solver, limits, checkers, measures, models, plugins)
+
+    def keeping(self, folder: Path) -> Task:
+        """The same, its measures keeping what they work out in folders of their names there, where they can."""
+        kept = {
+            name: made.kept_in(folder / name) if isinstance(made, Keeping) else made
+            for name, made in self.measures.items()
+        }
+        return replace(self, measures=kept, kept_in=folder)
 
     def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
         """Every wanted value by name [the bank's units], with `change` among the targets."""

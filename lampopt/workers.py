@@ -326,7 +326,7 @@ def _packed(task: Task, file: Path | None) -> bytes:
             f"({why(error)}): define them in a module, or use a ThreadPoolExecutor"
         ) from error
     try:
-        return pickle.dumps((study, objects, task.identity, list(owners), extra))
+        return pickle.dumps((study, objects, task.identity, list(owners), extra, task.kept_in))
     except Exception as error:  # whatever a stranger's __reduce__ raises
         raise PluginError(
             f"executor: the plugins {', '.join(name for name, _ in extra)} are not installed and cannot be sent to "
@@ -337,7 +337,7 @@ def _packed(task: Task, file: Path | None) -> bytes:
 @lru_cache(maxsize=1)  # opening the bank reads all of it: once a worker, not once a design
 def _unpacked(setup: bytes) -> Task:
     try:
-        text, objects, identity, names, extra = pickle.loads(setup)  # by the process that this one works for
+        text, objects, identity, names, extra, kept_in = pickle.loads(setup)  # by the process that this one works for
         measures, models = pickle.loads(objects)
     except Exception as error:  # whatever a stranger's module raises
         raise PluginError(
@@ -359,4 +359,4 @@ def _unpacked(setup: bytes) -> Task:
             "a worker would make other designs: its bank, plugins or versions differ from those of the process that "
             "asked; install the same in both"
         )
-    return task
+    return task if kept_in is None else task.keeping(kept_in)

@@ -60,6 +60,7 @@ LAYERS = (
     {"identity", "wishes", "closing"},
     {"task"},
     {"crew"},
+    {"label"},
     {"workers"},
     {"reporting"},
     {"compromise"},

@@ -21,6 +21,7 @@ from lampopt.cli.explore import explore
 from lampopt.cli.flow import flow, flow_study
 from lampopt.cli.front import front
 from lampopt.cli.intake import intake, wrap
+from lampopt.cli.label import label
 from lampopt.cli.learn import model, surrogate
 from lampopt.cli.measure import measure
 from lampopt.cli.moved import residuals, sensitivities
@@ -47,6 +48,7 @@ for command in (
     intake,
     wrap,
     measure,
+    label,
     flow,
     flow_study,
     surrogate,

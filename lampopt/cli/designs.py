@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +12,7 @@ import click
 from lampopt.choices import Value
 from lampopt.cli import show
 from lampopt.cli.answer import DONE, REJECTED, Answer, Command
-from lampopt.cli.options import can_be_written, chosen_measures, numbers, pairs, spec
+from lampopt.cli.options import can_be_written, chosen_measures, crew, numbers, pairs, spec
 from lampopt.cli.wishes import fields, wishes
 from lampopt.errors import InputError, StudyError
 from lampopt.experiments import METHODS, MOST, Experiments
@@ -28,7 +26,6 @@ from lampopt.solve import columns
 from lampopt.study import Study
 from lampopt.task import Task
 from lampopt.types import LEVELS, Bank, Check, Needs, Result
-from lampopt.workers import processes
 from lampopt.written import export_mesh
 
 if TYPE_CHECKING:
@@ -218,7 +215,7 @@ def sweep(
         )
     designs: list[dict[str, Any]] = []
     rows: list[list[Any]] = []
-    with progress_bar(f"sweeping {study_file.name}") as progress, _workers(workers) as executor:
+    with progress_bar(f"sweeping {study_file.name}") as progress, crew(workers) as executor:
         made = sweep_study(study, None, folder, executor=executor, report=report, progress=progress, plugins=plugins)
         try:
             for number, result in enumerate(made, 1):
@@ -259,11 +256,6 @@ def _planned(
         seed = 0 if before is None else before.seed
     ranges: Any = given or (before and before.ranges)  # as it came: Experiments says what is wrong with it
     return Experiments(ranges, count, method, seed)
-
-
-def _workers(count: int) -> AbstractContextManager[Executor | None]:
-    """So many processes; none but this one where one is enough."""
-    return nullcontext() if count == 1 else processes(count)
 
 
 def _opened(study_file: Path, folder: Path | None) -> tuple[Study, Bank, Path]:

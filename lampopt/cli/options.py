@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TypeVar
 
@@ -11,6 +13,7 @@ from lampopt.errors import InputError
 from lampopt.plugins import Plugins, known_options
 from lampopt.reading import brief, why
 from lampopt.types import Scalar, Spec
+from lampopt.workers import processes
 
 T = TypeVar("T")
 TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
@@ -114,3 +117,8 @@ def _read(to: Callable[[str], T], expected: str, what: str, text: str) -> T:
         return to(text)
     except (ValueError, KeyError) as error:
         raise InputError(f"{what}: expected {expected}, got {brief(repr(text))}") from error
+
+
+def crew(count: int) -> AbstractContextManager[Executor | None]:
+    """So many processes; none but this one where one is enough."""
+    return nullcontext() if count == 1 else processes(count)

@@ -149,6 +149,10 @@ class OpenFoamDrag:
         flow = self.solve(mesh)
         return np.array([flow.drag, flow.lift, flow.drag_error, flow.lift_error, flow.frontal_area, flow.cells])
 
+    def kept_in(self, folder: Path) -> OpenFoamDrag:
+        """The same, its flows kept in `folder` where none is named."""
+        return self if self.folder else replace(self, folder=str(folder))
+
     def solve(self, mesh: Trimesh) -> Flow:
         """All that is known of the flow around `mesh`. Raises as a call does."""
         surface = self._surface(mesh)

@@ -1,0 +1,160 @@
+"""Exemplars labelled by a measure: each as the bank makes it, resumable, none left unsaid."""
+
+import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lampopt
+from lampopt import Spec
+from lampopt.errors import BankError, InputError, MeasureError
+
+sys.path.insert(0, str(Path(__file__).parent))
+import small
+from test_closing import PLUGINS
+
+CALLS = []
+
+
+class Air:
+    """Drag and lift of a box by its volume; too long ones cannot be told."""
+
+    names, units = ("drag", "lift", "wet"), ("", "", "L^2")
+
+    def __call__(self, mesh):
+        CALLS.append(mesh.extents[0])
+        if mesh.extents[0] > 2.85:
+            raise MeasureError("too long for the tunnel")
+        return np.array([mesh.volume, -mesh.volume, mesh.area])
+
+
+@dataclass(frozen=True)
+class Dear:
+    """Keeps what it has worked out."""
+
+    folder: str = ""
+    names, units = ("drag",), ("",)
+
+    def kept_in(self, folder):
+        return self if self.folder else replace(self, folder=str(folder))
+
+    def __call__(self, mesh):
+        place = Path(self.folder)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / f"{mesh.volume:.9g}").touch()
+        return np.array([mesh.volume])
+
+
+@pytest.fixture(autouse=True)
+def forget():
+    CALLS.clear()
+
+
+def test_labels_are_of_the_shapes_that_the_bank_makes():
+    bank = small.bank(decoder="blunt", plugins=PLUGINS)
+    made = lampopt.label(bank, Air(), {"cd": "drag", "wet": "wet"}, plugins=PLUGINS)
+    assert [(q.name, q.unit) for q in made.label_space] == [("drag", ""), ("cd", ""), ("wet", "m^2")]
+    for name, cd, wet in zip(made.names, *made.labels.T[1:], strict=True):
+        mesh = lampopt.run(lampopt.Study(bank, reference=name), plugins=PLUGINS).design.mesh
+        if mesh.extents[0] > 2.85:
+            assert np.isnan([cd, wet]).all()
+        else:
+            assert (cd, wet) == pytest.approx((mesh.volume, mesh.area))
+    np.testing.assert_array_equal(made.labels[:, 0], bank.labels[:, 0])
+    assert bank.label_space != made.label_space
+    told = json.loads(made.provenance["labelled.cd"])
+    assert told == {"by": "Air.drag", "failed": {"box_5": "too long for the tunnel"}}
+
+
+def test_a_label_of_that_name_is_replaced():
+    bank = small.bank()
+    made = lampopt.label(bank, Air(), ["drag"], plugins=small.plugins())
+    assert [q.name for q in made.label_space] == ["drag"]
+    assert made.labels[0, 0] == pytest.approx(bank.parameters[0].prod() * 0.8)
+    low, high = made.label_space[0].low, made.label_space[0].high
+    assert (low, high) == (np.nanmin(made.labels), np.nanmax(made.labels))
+
+
+def test_a_labelled_bank_can_be_asked():
+    bank = lampopt.label(small.bank(), "volume", plugins=small.plugins())
+    goal = lampopt.Reduce("volume", by=0.1)
+    made = lampopt.run(lampopt.Study(bank, reference="box_3", keep=("width",), objective=goal), plugins=small.plugins())
+    assert made.accepted
+
+
+@pytest.mark.parametrize("executor", [None, ThreadPoolExecutor(3)])
+def test_what_is_measured_is_kept_when_it_is_stopped(tmp_path, executor, monkeypatch):
+    bank, store = small.bank(), tmp_path / "labelled.lamp"
+    real = Air.__call__
+
+    def stopped(self, mesh):
+        if len(CALLS) == 4:
+            raise KeyboardInterrupt
+        return real(self, mesh)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Air, "__call__", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            lampopt.label(bank, Air(), ["drag"], store=store, executor=executor, plugins=small.plugins())
+    assert not store.exists()
+    before = len(CALLS)
+    made = lampopt.label(bank, Air(), ["drag"], store=store, executor=executor, plugins=small.plugins())
+    assert len(CALLS) < before + len(bank)
+    again = lampopt.label(bank, Air(), ["drag"], store=store, plugins=small.plugins())
+    assert small.same(made, again)
+    assert [path.name for path in tmp_path.iterdir()] == ["labelled.lamp"]
+    with pytest.raises(BankError, match="holds another bank"):
+        lampopt.label(bank, Air(), ["lift"], store=store, plugins=small.plugins())
+
+
+def test_workers_tell_the_same(tmp_path):
+    bank = small.bank()
+    alone = lampopt.label(bank, "area", store=tmp_path / "one.lamp", plugins=small.plugins())
+    with ThreadPoolExecutor(3) as executor:
+        crew = lampopt.label(bank, "area", store=tmp_path / "two.lamp", executor=executor, plugins=small.plugins())
+    assert small.same(alone, crew)
+
+
+def test_a_dear_measure_keeps_its_work_beside_the_file_and_in_the_run(tmp_path):
+    bank = small.bank()
+    lampopt.label(bank, Dear(), store=tmp_path / "labelled.lamp", plugins=small.plugins())
+    assert len([*(tmp_path / "labelled.lamp.measured").iterdir()]) == len(bank)
+    study = lampopt.Study(bank, targets={"length": 2.3}, measures={"air": Dear()})
+    lampopt.run(study, tmp_path / "run", plugins=small.plugins())
+    assert len([*(tmp_path / "run" / "measured" / "air").iterdir()]) == 1
+    told = Dear(str(tmp_path / "elsewhere"))
+    lampopt.label(bank, told, store=tmp_path / "other.lamp", plugins=small.plugins())
+    assert len([*(tmp_path / "elsewhere").iterdir()]) == len(bank)
+
+
+def test_what_cannot_be():
+    bank = small.bank()
+    with pytest.raises(InputError, match="measure 'Air' has no 'mass'; it has drag, lift, wet"):
+        lampopt.label(bank, Air(), ["mass"], plugins=small.plugins())
+    with pytest.raises(InputError, match="'width' is a parameter of this bank"):
+        lampopt.label(bank, Air(), {"width": "drag"}, plugins=small.plugins())
+    with pytest.raises(InputError, match="expected a Bank"):
+        lampopt.label("cars.lamp", Air())
+    with pytest.raises(InputError, match="values: expected names"):
+        lampopt.label(bank, Air(), "drag", plugins=small.plugins())
+
+
+class Never:
+    names, units = ("drag",), ("",)
+
+    def __call__(self, mesh):
+        raise MeasureError("no flow solver is installed")
+
+
+def test_a_measure_that_tells_of_no_exemplar_is_refused():
+    with pytest.raises(InputError, match="can tell of no exemplar: no flow solver is installed"):
+        lampopt.label(small.bank(), Never(), plugins=small.plugins())
+
+
+def test_by_name_and_with_options():
+    made = lampopt.label(small.bank(), Spec("extents"), {"long": "length"}, plugins=small.plugins())
+    np.testing.assert_allclose(made.labels[:, -1], small.LENGTHS, atol=1e-6)
