@@ -155,8 +155,7 @@ class _Work:
                 log.warning("exemplar %r has no label: %s", name, answer)
             else:
                 values[number] = answer
-                if self._partial is not None:
-                    self._partial.write(f"values_{number:05d}", {"values": answer})
+                self._keep(number, answer)
             tell(finished / count, f"exemplar {name}")
         if len(failed) == count:
             raise InputError(f"measure {self._called!r} can tell of no exemplar: {brief(next(iter(failed.values())))}")
@@ -165,6 +164,10 @@ class _Work:
     def _kept(self, number: int) -> Array | None:
         found = None if self._partial is None else self._partial.read(f"values_{number:05d}")
         return None if found is None else found["values"]
+
+    def _keep(self, number: int, answer: Array) -> None:
+        if self._partial is not None:
+            self._partial.write(f"values_{number:05d}", {"values": answer})
 
     def _answers(self, numbers: Sequence[int], executor: Executor | None) -> Iterator[tuple[int, Array | str]]:
         if executor is None:
@@ -179,10 +182,13 @@ class _Work:
                     mesh = self._mesh(number)
                     sent[executor.submit(_measured, self._called, self._measure, mesh)] = number
                 for future in wait(sent, return_when=FIRST_COMPLETED).done:
-                    yield sent.pop(future), future.result()
-        finally:
-            for future in sent:
-                future.cancel()
+                    answer = future.result()
+                    yield sent.pop(future), answer
+        finally:  # what others have finished is kept, whatever one of them came to
+            for future, number in sent.items():
+                done = not future.cancel() and future.done() and future.exception() is None
+                if done and not isinstance(answer := future.result(), str):
+                    self._keep(number, answer)
 
     def _mesh(self, number: int) -> Trimesh | None:
         weights = np.asarray(self._bank.weights[number])
