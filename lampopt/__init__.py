@@ -1,5 +1,6 @@
 """lampopt: parameter-controlled shapes from a few dozen exemplars."""
 
+from lampopt.active import Pursuit, Trial, active
 from lampopt.asktell import AskTell, Candidate
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
@@ -44,6 +45,7 @@ __all__ = [
     "Mix",
     "Parameter",
     "Problem",
+    "Pursuit",
     "Reduce",
     "Reduction",
     "Residual",
@@ -53,6 +55,8 @@ __all__ = [
     "Sensitivities",
     "Spec",
     "Study",
+    "Trial",
+    "active",
     "add_exemplars",
     "build_bank",
     "calibrate",

@@ -49,12 +49,16 @@ class Plane:
         return np.asarray(self.value + (self.parameters - self.at) @ self.slope)
 
 
+def ranged_parameters(bank: Bank) -> Array:
+    """(N, d) of the exemplars, in parts of their ranges."""
+    spread = np.ptp(bank.parameters, axis=0)
+    return np.asarray(bank.parameters / np.where(spread > 0, spread, 1.0))
+
+
 def explained(bank: Bank, label: str) -> Plane | None:
     """The plane of a label over the exemplars; None where the parameters tell too little of it."""
     values = bank.labels[:, [q.name for q in bank.label_space].index(label)]
-    spread = np.ptp(bank.parameters, axis=0)
-    parameters = bank.parameters / np.where(spread > 0, spread, 1.0)
-    known = np.isfinite(values)
+    parameters, known = ranged_parameters(bank), np.isfinite(values)
     middle, mean = parameters[known].mean(0), float(values[known].mean())
     rows, off = parameters[known] - middle, values[known] - mean
     inverse = np.linalg.pinv(rows, rcond=1e-8)

@@ -67,6 +67,7 @@ LAYERS = (
     {"asktell", "explore", "front", "motion"},
     {"response"},
     {"loop"},
+    {"active"},
     {"joining"},
     {"enrich"},
     {"lampopt", "cli", "testing"},

@@ -1,0 +1,190 @@
+"""Active learning: a dear measure (a flow solution) brought to a target with as few evaluations as can be.
+
+Labelling a bank asks for one solution an exemplar. Here the reference and a few exemplars far apart are measured and a
+plane over the parameters is laid through them; the design that it proposes is made and measured, the plane is moved and
+turned to tell it too, and so on until the target is met or the budget is spent.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lampopt.errors import InputError, StudyError
+from lampopt.goals import Reduce
+from lampopt.loop import run
+from lampopt.plugins import Plugins
+from lampopt.protocols import Progress
+from lampopt.secant import Plane, ranged_parameters
+from lampopt.study import Study
+from lampopt.task import Task
+from lampopt.types import Array, Bank, Parameter, Result
+from lampopt.units import said
+
+FARTHEST = 0.15  # of the reference's value: how far one proposal may go beyond what was measured
+log = logging.getLogger("lampopt")
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One evaluation.
+
+    Parameters
+    ----------
+    name
+        The exemplar's, or ``design 1``, ``design 2``, ...
+    parameters
+        (d,) of the mix that was measured [the bank's units].
+    predicted
+        What the plane had said; NaN of exemplars.
+    value
+        What was measured; NaN where it could not be.
+    """
+
+    name: str
+    parameters: Array
+    predicted: float
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Pursuit:
+    """What the evaluations led to: the design nearest to `wanted`, and all that was measured on the way."""
+
+    result: Result
+    wanted: float
+    value: float
+    met: bool
+    trials: tuple[Trial, ...]
+
+    @property
+    def evaluations(self) -> int:
+        """How often the measure was asked."""
+        return len(self.trials)
+
+
+def active(
+    study: Study,
+    *,
+    budget: int = 16,
+    first: int | None = None,
+    tolerance: float = 0.005,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+    plugins: Plugins | None = None,
+) -> Pursuit:
+    """Bring a measured value to its target by proposing, measuring, and learning from it.
+
+    Parameters
+    ----------
+    study
+        With a reference, an objective ``Reduce("flow.drag", by=0.1)`` that names a value of one of its `measures`, and
+        whatever else it asks (targets, keeps, ranges).
+    budget
+        Evaluations of the measure at most, the reference's included.
+    first
+        How many of them are exemplars, the reference included; by default half as many as there are parameters, and
+        two more.
+    tolerance
+        Of the reference's value, within which the target is met.
+    folder
+        A run folder, where each proposal is recorded and measures keep their work: an interrupted pursuit goes on.
+    progress
+        Told how far it is.
+    plugins
+        What to choose from, if not all that is installed.
+
+    Raises
+    ------
+    StudyError
+        If the study has no such objective, or asks for corrections of its own (`turns`).
+    InputError
+        For a budget that leaves no proposal, or where the reference cannot be measured.
+    """
+    if not isinstance(study.objective, Reduce) or study.reference is None:
+        raise StudyError(f"active: expected an objective such as Reduce('flow.drag', by=0.1), got {study.objective}")
+    if study.turns:
+        raise StudyError("active: corrects by itself: leave turns out")
+    name, by = study.objective.name, study.objective.by
+    task = Task.of(study, plugins)
+    if folder is not None:
+        task = task.keeping(Path(folder).absolute() / "measured")
+    quantity, bank = task.wishes.quantities[name], task.bank
+    if quantity.measure is None:
+        raise StudyError(f"active: {name!r} is not measured: name a value of one of the study's measures")
+    count = min(len(bank), (len(bank.space) + 1) // 2 + 2 if first is None else first)
+    if not 1 <= count < budget:
+        raise InputError(
+            f"budget: expected more than the {count} exemplars measured first, got {said(budget)}"
+        )
+    tell = progress or (lambda done, message="", /: None)
+    parameters, trials, alphas = ranged_parameters(bank), list[Trial](), list[Array]()
+
+    def measured(alpha: Array, called: str, predicted: float) -> float:
+        tell(len(trials) / budget, called)
+        value = task.wishes.quantities.value(quantity, alpha)
+        trials.append(Trial(called, alpha @ bank.parameters, predicted, value))
+        alphas.append(alpha)
+        log.info("active: %s: %s %.6g", called, name, value)
+        return value
+
+    for row in spread_out(parameters, bank.names.index(study.reference), count):
+        measured(np.eye(len(bank))[row], bank.names[row], float("nan"))
+    start = trials[0].value
+    if not np.isfinite(start):
+        raise InputError(f"active: the reference {study.reference!r} has no {name}: choose another")
+    wanted, plane = (1 - by) * start, _plane(parameters, alphas, trials)
+    best: tuple[float, float, Result] | None = None
+    for number in range(1, budget - len(trials) + 1):
+        aim = plane.value + float(np.clip(wanted - plane.value, -FARTHEST * abs(start), FARTHEST * abs(start)))
+        result = run(_asked(study, bank, name, quantity.unit, plane, aim), folder, report=False, plugins=plugins)
+        alpha = result.design.mix.alpha
+        value = measured(alpha, f"design {number}", float(alpha @ plane.values))
+        off = abs(value - wanted) / abs(start)
+        if np.isfinite(off) and (best is None or off < best[0]):
+            best = off, value, result
+        if off <= tolerance:
+            break
+        # Where nothing can be measured, half as far, from where something was.
+        plane = plane.through(alpha, value) if np.isfinite(value) else replace(plane, slope=2 * plane.slope)
+    if best is None:
+        raise InputError(f"active: none of {len(trials) - count} designs could be measured by {name}")
+    tell(1.0, f"{len(trials)} evaluations")
+    return Pursuit(best[2], wanted, best[1], best[0] <= tolerance, tuple(trials))
+
+
+def spread_out(parameters: Array, start: int, count: int) -> list[int]:
+    """`count` rows of (N, d), each as far as can be from those before it, from `start` on (Gonzalez, 1985)."""
+    rows, away = [start], np.linalg.norm(parameters - parameters[start], axis=1)
+    while len(rows) < count:
+        rows.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(parameters - parameters[rows[-1]], axis=1))
+    return rows
+
+
+def _plane(parameters: Array, alphas: Sequence[Array], trials: Sequence[Trial]) -> Plane:
+    """The plane of least slope through what was measured first, from the reference on."""
+    known = [k for k, trial in enumerate(trials) if np.isfinite(trial.value)]
+    at = np.array([alphas[k] for k in known]) @ parameters
+    values = np.array([trials[k].value for k in known])
+    slope = np.linalg.pinv(at - at[0], rcond=1e-6) @ (values - values[0])
+    return Plane(parameters, np.asarray(slope), at[0], float(values[0]))
+
+
+def _asked(study: Study, bank: Bank, name: str, unit: str, plane: Plane, aim: float) -> Study:
+    """The study with the plane's values as a label of all exemplars."""
+    label = name.replace(".", " ")
+    told = np.column_stack([bank.labels, plane.values])
+    space = (*bank.label_space, Parameter(label, unit, low=float(told[:, -1].min()), high=float(told[:, -1].max())))
+    return replace(
+        study,
+        bank=replace(bank, labels=told, label_space=space, path=None),
+        targets={**study.targets, label: aim},
+        objective=None,
+        measures={key: made for key, made in study.to_be_measured().items() if key != name.partition(".")[0]},
+        measured={key: where for key, where in study.measured.items() if key != name},
+    )
