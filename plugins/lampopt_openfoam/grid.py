@@ -2,8 +2,7 @@
 
 All lengths are body lengths. A placement moves the cells without moving the ground or the plane of symmetry: the
 origin is shifted along the wind by up to four of the finest cells, and the cells' width and height are changed by up to
-3 %, which shifts the cells at a car's side and roof by a whole fine cell. More is not shifted, for then wake boxes, made
-of whole coarse cells, would change their size: drag of one car went from 0.337 to 0.380 with that.
+3 %, which shifts the cells at a car's side and roof by a whole fine cell.
 """
 
 from __future__ import annotations
