@@ -23,7 +23,7 @@ from lampopt_openfoam.installed import _told, installed
 from lampopt_openfoam.outcomes import OUTCOMES, FlowError
 from lampopt_openfoam.pairs import change, paired
 from lampopt_openfoam.refinement import richardson
-from lampopt_openfoam.settled import judged, standard_error
+from lampopt_openfoam.settled import first_settled, judged, standard_error
 from lampopt_openfoam.smooth import ROUGH, roughness, smoothed
 from lampopt_openfoam.surface import axes, cleaned
 
@@ -88,6 +88,14 @@ def test_a_wild_start_is_no_divergence():
     series = both(np.full(300, 0.3))
     series[:20, 0] = -2e3
     assert judged(series, 0.005).state == "settled"
+
+
+def test_iterations_after_it_has_settled_do_not_count():
+    series = both(0.3 + 0.1 * np.exp(-np.arange(1500) / 60) + 0.002 * np.sin(np.arange(1500)))
+    told = first_settled(series, 0.005)
+    assert told.state == "settled" and 200 < told.end < 600 and told.end % 20 == 0
+    assert first_settled(series[: told.end + 7], 0.005) == told
+    assert first_settled(series[: told.end - 20], 0.005).state == "settling"
 
 
 def test_a_lift_that_swings_keeps_a_steady_drag_waiting():
@@ -422,7 +430,7 @@ def test_a_flow_from_its_files_to_its_coefficients(tmp_path, fakes):
     measure(tmp_path)(car(10.0))  # another unit, the same flow
     assert calls.read_text().split() == [*TOOLS]
     flow = measure(tmp_path).solve(car())
-    assert flow.openfoam == "openfoam.com 2312" and flow.half and flow.placed[0].iterations == 260
+    assert flow.openfoam == "openfoam.com 2312" and flow.half and flow.placed[0].iterations == 200
 
 
 def test_the_case_says_what_was_asked(tmp_path, fakes):
@@ -575,7 +583,7 @@ def test_a_killed_solver_goes_on_where_it_was(tmp_path, fakes):
     fakes()
     flow = measure(tmp_path).solve(car())
     assert calls.read_text().split() == ["simpleFoam"]  # grid and start are there
-    assert flow.placed[0].iterations == 360 and flow.drag == pytest.approx(0.3, abs=1e-3)
+    assert flow.placed[0].iterations == 200 and flow.drag == pytest.approx(0.3, abs=1e-3)
 
 
 def test_a_grid_that_was_broken_off_is_made_again(tmp_path, fakes):
@@ -593,7 +601,7 @@ def test_what_cannot_be_gone_on_with_is_begun_anew(tmp_path, fakes):
     outcome(measure(tmp_path))
     broken = "if [ -d 100 ]; then echo '--> FOAM FATAL IO ERROR: premature end'; exit 1; fi\n" + TOOLS["simpleFoam"]
     calls = fakes(simpleFoam=broken)
-    assert measure(tmp_path).solve(car()).placed[0].iterations == 260
+    assert measure(tmp_path).solve(car()).placed[0].iterations == 200
     assert calls.read_text().split().count("simpleFoam") == 3
 
 
@@ -712,6 +720,16 @@ def test_templates_are_whole_and_every_setting_is_used():
     assert set(made) | set(given) <= set(settings)
     for ground in case.GROUND.values():
         assert set(ground) <= set(settings)
+
+
+def test_a_solver_notices_at_once_that_it_is_to_stop(tmp_path):
+    case.write(tmp_path / "case", {}, b"")
+    control = tmp_path / "case" / "system" / "controlDict"
+    case.go_on(tmp_path / "case")
+    before = control.stat().st_mtime
+    case.stop(tmp_path / "case")
+    assert control.stat().st_mtime > before + 60  # OpenFOAM asks for ten seconds between two changes
+    assert "stopAt writeNow;" in " ".join(control.read_text().split())
 
 
 def test_coefficients_are_read_by_their_columns(tmp_path):

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -282,7 +282,7 @@ def _placed(
     settings = replace(drag, folder="", command="", timeout_s=1.0, placements=1, first=number, half="auto")
     where = folder / kept.key(
         surface=surface.digest,
-        settings=repr(settings),
+        settings=asdict(settings),
         openfoam=str(foam),
         templates=kept.hash_of(TEMPLATES),
         entries=grid.settings(),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +19,11 @@ from .installed import Installed
 from .kept import Placed
 from .outcomes import ROOM, FlowError
 from .running import Runner, end_left_over
-from .settled import Settled, judged
+from .settled import EVERY, first_settled
 from .surface import Surface
 
 ITERATIONS = 1500
 TOLERANCE = 0.005  # relative standard error of the settled drag
-EVERY = 20  # iterations between two looks at the coefficients
 UNSOLVED = 0.05  # initial residual that a flow does not end with
 SKEW, ORTHOGONAL = 8.0, 75.0  # worst skewness [-] and non-orthogonality [deg] of a good grid
 FEWEST = 1000  # cells
@@ -172,7 +170,7 @@ def _coefficients(runner: Runner, grid: Grid, checked: Checked, began: float) ->
     state = _Watch(case)
     log = runner.run("simpleFoam", fails="diverged", watch=state.look)
     series = files.coefficients(case)
-    told = judged(series, TOLERANCE)
+    told = first_settled(series, TOLERANCE)
     where = f"its log is {case / 'log.simpleFoam'}" if runner.kept else "name a folder= to keep its log"
     if told.state == "diverged":
         raise FlowError(
@@ -195,7 +193,7 @@ def _coefficients(runner: Runner, grid: Grid, checked: Checked, began: float) ->
         drag_error=told.error[0],
         lift_error=told.error[1],
         cells=checked.cells,
-        iterations=len(series),
+        iterations=told.end,
         seconds=round(time.monotonic() - began, 2),
         skewness=checked.skewness,
         non_orthogonality=checked.non_orthogonality,
@@ -219,7 +217,6 @@ class _Watch:
 
     def __init__(self, case: Path) -> None:
         self.case, self.seen, self.asked = case, 0, False
-        self.judge: Callable[[Array], Settled] = lambda series: judged(series, TOLERANCE)
 
     def look(self) -> bool:
         """True where nothing is to be waited for."""
@@ -227,7 +224,7 @@ class _Watch:
         if len(series) < self.seen + EVERY:
             return False
         self.seen = len(series)
-        state = self.judge(series).state
+        state = first_settled(series, TOLERANCE).state
         if state == "settled" and not self.asked:
             files.stop(self.case)
             self.asked = True

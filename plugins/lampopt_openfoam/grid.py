@@ -1,8 +1,8 @@
 """The grid: domain, background cells, wake boxes, and where the cells lie relative to the body.
 
 All lengths are body lengths. A placement moves the cells without moving the ground or the plane of symmetry: the
-origin is shifted along the wind, and the cells' width and height are changed by up to 3 %, which shifts the cells at a
-car's side and roof by a whole fine cell.
+origin is shifted along the wind by up to four of the finest cells, and the cells' width and height are changed by up to
+3 %, which shifts the cells at a car's side and roof by a whole fine cell.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Grid:
         nz = ceil((1 + 3 * self.height) / cell)
         below = 0 if self.ground != "none" else ceil((1 + 2 * self.height) / cell)
         nx = round((UPSTREAM + DOWNSTREAM) / cell)
-        x_min = -UPSTREAM - x * cell
+        x_min = -UPSTREAM - x * cell / 2 ** (FINEST - 2)
         z_min = -below * dz
         floor = z_min - cell  # boxes reach through the ground, where there is one
         if below:

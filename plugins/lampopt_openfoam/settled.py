@@ -16,6 +16,7 @@ from lampopt.types import Array
 
 WARM = 100  # iterations dropped at least
 WINDOW = 100  # iterations averaged at least
+EVERY = 20  # iterations between two judgements
 WILD = 30  # iterations within which a start may be wild
 BOUND = 100.0  # a coefficient beyond it is no flow any more
 PARTS = (4, 5, 6)  # into which what is left is divided
@@ -32,8 +33,8 @@ class Settled:
         "settling": go on; "settled"; "diverged".
     mean, error
         (c,) of each coefficient, and its standard error; NaN where nothing can be said yet.
-    start
-        Iterations dropped.
+    start, end
+        Iterations dropped; iterations read.
     message
         Why.
     """
@@ -42,6 +43,7 @@ class Settled:
     mean: tuple[float, ...]
     error: tuple[float, ...]
     start: int
+    end: int
     message: str
 
 
@@ -61,9 +63,13 @@ def judged(series: Array, tolerance: float) -> Settled:
     if not np.isfinite(series).all() or (np.abs(late) > BOUND).any():
         with np.errstate(invalid="ignore"):
             worst = np.nanmax(np.abs(series)) if np.isfinite(series).any() else float("nan")
-        return Settled("diverged", unknown, unknown, 0, f"coefficients up to {worst:.3g} in {len(series)} iterations")
+        return Settled(
+            "diverged", unknown, unknown, 0, len(series), f"coefficients up to {worst:.3g} in {len(series)} iterations"
+        )
     if len(series) < WARM + WINDOW:
-        return Settled("settling", unknown, unknown, 0, f"{len(series)} of at least {WARM + WINDOW} iterations")
+        return Settled(
+            "settling", unknown, unknown, 0, len(series), f"{len(series)} of at least {WARM + WINDOW} iterations"
+        )
     start = _start(series[:, 0])
     kept = series[start:]
     mean, error = kept.mean(axis=0), np.array([standard_error(column) for column in kept.T])
@@ -71,7 +77,19 @@ def judged(series: Array, tolerance: float) -> Settled:
     wanted[0] = tolerance * abs(mean[0])
     said = f"drag {mean[0]:.4f} ± {error[0]:.4f} over {len(kept)} iterations, asked for ± {wanted[0]:.4f}"
     state: Literal["settling", "settled"] = "settled" if (error <= wanted).all() else "settling"
-    return Settled(state, tuple(mean.tolist()), tuple(error.tolist()), start, said)
+    return Settled(state, tuple(mean.tolist()), tuple(error.tolist()), start, len(series), said)
+
+
+def first_settled(series: Array, tolerance: float) -> Settled:
+    """What `judged` says of the first `EVERY`, 2 `EVERY`, ... rows that are settled or diverged; else of all rows.
+
+    So a result does not depend on how far a solver ran on before it noticed that it was to stop.
+    """
+    for n in range(WARM + WINDOW, len(series) + 1, EVERY):
+        told = judged(series[:n], tolerance)
+        if told.state != "settling":
+            return told
+    return judged(series, tolerance)
 
 
 def standard_error(series: Array) -> float:

@@ -11,7 +11,8 @@ from lampopt.types import Array
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-ROUGH = 5e-4  # of the length: 2 mm on a car; what drag at the coarse level does not notice
+ROUGH = 3e-4  # of the length: 1.3 mm on a car; from there on drag at the coarse level notices
+SMOOTH = 1e-4  # of the length: what smoothing goes on to; less costs more shape than it takes off roughness
 TOO_ROUGH = 4e-3  # of the length: 18 mm on a car; nothing tells roughness from shape any more
 FINE = 0.05  # of the length: vertices with longer edges draw the shape, and are no roughness
 SHARE = 0.94  # of a random displacement's standard deviation is the median of what is measured
@@ -47,7 +48,7 @@ def smoothed(vertices: Array, faces: Array) -> Array:
     for _ in range(ROUNDS):
         for step in (SHRINK, GROW):
             vertices = vertices + step * ((around @ vertices) / degree - vertices)
-        if roughness(vertices, faces) <= ROUGH:
+        if roughness(vertices, faces) <= SMOOTH:
             break
     return vertices
 
