@@ -118,9 +118,7 @@ def active(
         raise StudyError(f"active: {name!r} is not measured: name a value of one of the study's measures")
     count = min(len(bank), (len(bank.space) + 1) // 2 + 2 if first is None else first)
     if not 1 <= count < budget:
-        raise InputError(
-            f"budget: expected more than the {count} exemplars measured first, got {said(budget)}"
-        )
+        raise InputError(f"budget: expected more than the {count} exemplars measured first, got {said(budget)}")
     tell = progress or (lambda done, message="", /: None)
     parameters, trials, alphas = ranged_parameters(bank), list[Trial](), list[Array]()
 
