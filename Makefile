@@ -1,4 +1,5 @@
 # make demo     13 plates with a hole → one outside their range, with checks and a picture, in demo/
+# make drag     a car with 10 % less drag, confirmed by OpenFOAM: half an hour on two cores, in demo/openfoam/
 # make test     everything that has to hold: lint, types, docs, tests (PYTEST="-m 'not slow'" leaves out the long ones)
 # make docs     docs/_build/html/index.html
 # make lint     ruff and mypy
@@ -7,10 +8,11 @@
 
 PYTHON ?= $(or $(shell command -v python3.11),python3)
 PYTEST ?=
+DRAG ?=
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: demo test docs lint setup clean
+.PHONY: demo drag test docs lint setup clean
 
 demo: $(READY)
 	$(BIN)/python examples/demo.py demo
@@ -18,6 +20,11 @@ demo: $(READY)
 # A file a core, one thread each: threads of several tests on the same cores wait for each other.
 test: lint docs
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests examples/third_party_decoder $(PYTEST)
+
+drag: $(READY)
+	@command -v simpleFoam >/dev/null || command -v foamRun >/dev/null || { \
+	    echo "make drag needs OpenFOAM, with simpleFoam on the PATH: apt-get install openfoam (Debian, Ubuntu)" >&2; exit 2; }
+	$(BIN)/python examples/drag/drag.py demo/openfoam $(DRAG)
 
 docs: $(READY)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
