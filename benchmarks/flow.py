@@ -12,6 +12,7 @@ Flows are kept in --cache: a study that was broken off goes on, a failed flow is
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import shutil
 import sys
@@ -188,6 +189,10 @@ def outcomes(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     with _killing("snappyHexMesh"):
         one("killed", "mesher killed after a second")
     one("timed-out", "time up", timeout_s=8.0)
+    case = importlib.import_module("lampopt_openfoam.case")
+    kept, case.start_from_potential = case.start_from_potential, lambda _: None
+    one("diverged", "potentialFoam's velocity taken as it is")
+    case.start_from_potential = kept
     if args.small:
         with _filling(args.small, lambda: True):
             one("disk-full", "disk full from the start", folder=args.small / "flows")
@@ -289,7 +294,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     document = stamped(f"flow-{args.study}", levels=args.levels, bodies=args.bodies, placements=args.placements)
     document |= {"rows": rows, "seconds": round(time.perf_counter() - began, 1)}
-    put(document, args.out and args.out / f"flow-{args.study}.json", out=args.json)
+    name = "-".join(["flow", args.study, *args.levels])
+    put(document, args.out and args.out / f"{name}.json", out=args.json)
     if not args.json:
         Console().print(_table(args.study, rows))
     return 0

@@ -177,6 +177,8 @@ class OpenFoamDrag:
         """`mesh` held against `reference` on the same placements, halves both or whole. Raises as a call does."""
         from .pairs import paired
 
+        if self.placements < 2:
+            raise InputError(f"placements: expected two or more for a comparison, got {self.placements}")
         both = [self._surface(mesh), self._surface(reference)]
         alike = self if both[0].half == both[1].half else replace(self, half="no")
         return paired(alike.solve(mesh), alike.solve(reference))
