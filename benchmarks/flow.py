@@ -12,13 +12,14 @@ Flows are kept in --cache: a study that was broken off goes on, a failed flow is
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import shutil
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -188,9 +189,17 @@ def outcomes(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     with _killing("snappyHexMesh"):
         one("killed", "mesher killed after a second")
     one("timed-out", "time up", timeout_s=8.0)
+    case = importlib.import_module("lampopt_openfoam.case")
+    kept, case.start_from_potential = case.start_from_potential, lambda _: None
+    one("diverged", "potentialFoam's velocity taken as it is")
+    case.start_from_potential = kept
     if args.small:
-        free = shutil.disk_usage(args.small).free / 1e6
-        one("disk-full", f"{free:.0f} MB of disk", folder=args.small / "flows")
+        with _filling(args.small, lambda: True):
+            one("disk-full", "disk full from the start", folder=args.small / "flows")
+        for tool in ("snappyHexMesh", "simpleFoam"):
+            shutil.rmtree(args.small / "flows", ignore_errors=True)
+            with _filling(args.small, lambda tool=tool: bool([*args.small.glob(f"flows/*/log.{tool}")])):
+                one("disk-full", f"disk filled while {tool} runs", folder=args.small / "flows")
     with tempfile.TemporaryDirectory() as folder:
         made = drag(Path(folder), placements=1, first=90)
         with _killing("simpleFoam", after_s=8.0):
@@ -206,28 +215,57 @@ def outcomes(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
 
 
 @contextmanager
-def _killing(tool: str, after_s: float = 1.0) -> Any:
-    """Within it, one process of ours called `tool` is killed once it has run for a while."""
+def _meanwhile(act: Callable[[threading.Event], None]) -> Iterator[None]:
     done = threading.Event()
-
-    def watch() -> None:
-        while not done.wait(0.05):
-            for status in Path("/proc").glob("[0-9]*/stat"):
-                with suppress(OSError, ValueError):
-                    name, _, rest = status.read_text().partition("(")[2].rpartition(")")
-                    if name == tool[:15] and int(rest.split()[1]) == os.getpid():
-                        done.wait(after_s)
-                        with suppress(OSError):
-                            os.kill(int(status.parent.name), 9)
-                        return
-
-    thread = threading.Thread(target=watch, daemon=True)
+    thread = threading.Thread(target=act, args=(done,), daemon=True)
     thread.start()
     try:
         yield
     finally:
         done.set()
         thread.join()
+
+
+@contextmanager
+def _killing(tool: str, after_s: float = 1.0) -> Iterator[None]:
+    """Within it, one process of ours called `tool` is killed once it has run for a while."""
+
+    def ours(status: Path) -> bool:
+        with suppress(OSError, ValueError, IndexError):
+            name, _, rest = status.read_text().partition("(")[2].rpartition(")")
+            return name == tool[:15] and int(rest.split()[1]) == os.getpid()
+        return False
+
+    def act(done: threading.Event) -> None:
+        while not done.wait(0.05):
+            for status in filter(ours, Path("/proc").glob("[0-9]*/stat")):
+                done.wait(after_s)
+                if ours(status):  # and not one that only was asked for its version
+                    os.kill(int(status.parent.name), 9)
+                    return
+
+    with _meanwhile(act):
+        yield
+
+
+@contextmanager
+def _filling(folder: Path, when: Callable[[], bool]) -> Iterator[None]:
+    """Within it, the disk of `folder` is filled up as soon as `when` says so."""
+    filler = folder / "filler"
+
+    def act(done: threading.Event) -> None:
+        while not when():
+            if done.wait(0.02):
+                return
+        with suppress(OSError), filler.open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(2**16))
+
+    with _meanwhile(act):
+        if when():
+            time.sleep(1.0)
+        yield
+    filler.unlink(missing_ok=True)
 
 
 STUDIES = {"ahmed": ahmed, "repeatability": repeatability, "pairs": pairs, "hostile": hostile, "outcomes": outcomes}
@@ -239,7 +277,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--levels", default="coarse", help="coarse, medium, fine, separated by commas")
     parser.add_argument("--bodies", default="Hybrid", help="of the judge, separated by commas")
     parser.add_argument("--placements", type=int, default=3)
-    parser.add_argument("--small", type=Path, help="outcomes: a folder on a disk that is too small")
+    parser.add_argument("--small", type=Path, help="outcomes: a folder on a disk of some 100 MB, to be filled up")
     parser.add_argument("--cache", type=Path, default=Path("runs/flows"), help="where flows are kept")
     parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
     parser.add_argument("--out", type=Path, help="folder for the JSON document")
@@ -256,7 +294,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     document = stamped(f"flow-{args.study}", levels=args.levels, bodies=args.bodies, placements=args.placements)
     document |= {"rows": rows, "seconds": round(time.perf_counter() - began, 1)}
-    put(document, args.out and args.out / f"flow-{args.study}.json", out=args.json)
+    name = "-".join(["flow", args.study, *args.levels])
+    put(document, args.out and args.out / f"{name}.json", out=args.json)
     if not args.json:
         Console().print(_table(args.study, rows))
     return 0

@@ -246,6 +246,15 @@ def test_flipped_faces_are_turned_with_a_note():
     assert made.notes and made.notes[0].startswith("turned")
 
 
+def test_a_small_hole_is_closed_with_a_note():
+    mesh = trimesh.creation.icosphere(4, 0.5)
+    whole = cleaned(mesh, **FLOW)
+    mesh.update_faces(np.argsort(np.linalg.norm(mesh.triangles_center - [0, 0, 0.5], axis=1)).argsort() >= 20)
+    made = cleaned(mesh, **FLOW)
+    assert made.notes[0].startswith("closed a small hole of")
+    assert made.frontal_area == pytest.approx(whole.frontal_area, rel=1e-3)
+
+
 def test_a_large_hole_is_refused_with_what_to_do():
     mesh = car()
     mesh.update_faces(mesh.triangles_center[:, 2] < 0.7)
@@ -660,6 +669,8 @@ def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
     whole = replace(made, half="no").solve(car())
     with pytest.raises(InputError, match="both of halves or both whole"):
         paired(told.design, whole)
+    with pytest.raises(InputError, match="placements: expected two or more"):
+        measure(tmp_path).compared(car(), car(2.0))
     with pytest.raises(InputError, match="two or more common placements"):
         paired(told.design, measure(tmp_path, placements=2, first=9).solve(car()))
 

@@ -13,15 +13,20 @@ LEAST = 3.0  # times as large as the hole must be what it is in: the rim of a sm
 BENT = 0.2  # of its width: how far a hole that is closed may be from flat
 
 
-def fill(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
-    """`faces` and new ones that close the small holes, by least area, and what was done, in words."""
+def fill(vertices: Array, faces: Array, wide: float = WIDE, most: int = MOST) -> tuple[Array, list[str]]:
+    """`faces` and new ones that close the small holes, by least area, and what was done, in words.
+
+    Small is what has at most `most` edges and is no wider than `wide` of the mesh's diagonal.
+    """
     edges = Edges.of(faces)
     if not len(edges.lone):
         return faces, []
     size = float(np.linalg.norm(np.ptp(vertices[faces], axis=(0, 1))))
     _, part = edges.parts()
     small = [
-        hole for hole in loops(edges) if _small(vertices, faces[part == part[hole[0] // 3]], edges.start[hole], size)
+        hole
+        for hole in loops(edges, most)
+        if _small(vertices, faces[part == part[hole[0] // 3]], edges.start[hole], wide * size)
     ]
     known = _pairs(faces) if small else set()
     added: list[Array] = []
@@ -35,9 +40,9 @@ def fill(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
         added.append(patch)
     if not added:
         return faces, []
-    most = max(len(patch) + 2 for patch in added)
+    rims = max(len(patch) + 2 for patch in added)
     words = "closed a small hole" if len(added) == 1 else f"closed {len(added)} small holes"
-    return np.concatenate([faces, *added]), [f"{words} of {'' if len(added) == 1 else 'up to '}{most} edges"]
+    return np.concatenate([faces, *added]), [f"{words} of {'' if len(added) == 1 else 'up to '}{rims} edges"]
 
 
 def loops(edges: Edges, most: int = MOST) -> list[Array]:
@@ -63,11 +68,11 @@ def loops(edges: Edges, most: int = MOST) -> list[Array]:
     return found
 
 
-def _small(vertices: Array, around: Array, rim: Array, size: float) -> bool:
+def _small(vertices: Array, around: Array, rim: Array, widest: float) -> bool:
     """Whether a hole with vertices `rim` in the faces `around` is flat, tiny, and not the rim of a loose patch."""
     points = vertices[rim]
     width = float(np.linalg.norm(points[:, None] - points, axis=2).max())
-    if width > WIDE * size or _bend(points) > BENT * width:
+    if width > widest or _bend(points) > BENT * width:
         return False
     return float(np.linalg.norm(np.ptp(vertices[around], axis=(0, 1)))) >= LEAST * width
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt.intake.edges import Edges, arrays, components
-from lampopt.intake.holes import fill
+from lampopt.intake.holes import MOST, WIDE, fill
 from lampopt.intake.sides import inward, unseen
 from lampopt.types import Array
 
@@ -18,18 +19,19 @@ FLAT = 1e-12  # height of a face in parts of the size below which it has no area
 DOUBLE = 0.5  # share of faces with a reversed twin from which on a surface is taken to be drawn from both sides
 
 
-def repaired(mesh: Trimesh) -> tuple[Trimesh, tuple[str, ...]]:
+def repaired(mesh: Trimesh, *, wide: float = WIDE, most: int = MOST) -> tuple[Trimesh, tuple[str, ...]]:
     """`mesh` with safe repairs made, and what was done, in words; the mesh itself where it needs none.
 
     In order: faces without area and faces given twice are dropped, faces are turned to agree with their neighbours,
-    small holes are closed with new faces between the vertices that are there, parts that face inward are turned.
+    small holes (of at most `most` edges, no wider than `wide` of the diagonal) are closed with new faces between the
+    vertices that are there, parts that face inward are turned.
     """
     from trimesh import Trimesh
 
     vertices, given = arrays(mesh)
     faces = given
     done: list[str] = []
-    for step in (_drop_degenerate, _drop_twins, _agree, fill, _outward):
+    for step in (_drop_degenerate, _drop_twins, _agree, partial(fill, wide=wide, most=most), _outward):
         faces, words = step(vertices, faces)
         done += words
         if not len(faces):  # nothing would be left: not for us to mend

@@ -31,6 +31,7 @@ ALIKE = 0.01  # of the length: how far left and right may be apart (99th percent
 SMALL = 0.1  # of the length: the largest extent of a part that floats and is taken for a leftover
 NEAR = 0.005  # of the length: parts nearer than that touch
 STANDS = 0.02  # of the length: how far above the lowest point a wheel may end
+WIDE, MOST = 0.1, 64  # of the diagonal: the widest hole that is closed, if it is flat; of how many edges at most
 GAP = 60  # parts of the length: the gap that a wrap is advised with
 DIGITS = 7  # of coordinates, in body lengths: what moving and scaling a mesh leaves the same
 
@@ -115,7 +116,7 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
         join(plain)
     except InputError as error:
         raise _refused(str(error)) from error
-    plain, done = repaired(plain)
+    plain, done = repaired(plain, wide=WIDE, most=MOST)
     vertices, faces = np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64)
     faces, dropped = _without_fragments(vertices, faces)
     _check_closed(vertices, faces)
