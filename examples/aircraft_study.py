@@ -1,13 +1,16 @@
-"""A blended wing body with 10 % more lift over drag, span and planform area held: seconds a design, no flow grid.
+"""A blended wing body with 3 % more lift over drag, span and planform area held: seconds a design, no flow grid.
 
     python examples/aircraft_study.py [FOLDER]
 
 AeroSandbox's AeroBuildup labels the exemplars and closes the loop, each time on the sections of the mesh that was made.
-The answer is then judged by the other model, a vortex lattice, which knows the induced drag alone. Needs the extra `aero`.
+The answer is then judged by the other model, a vortex lattice, which knows the induced drag alone. Span makes nearly all
+of lift over drag in this family: at 10 % every other parameter would be far out of its range. Needs the extra `aero`.
 """
 
 import sys
 from pathlib import Path
+
+import numpy as np
 
 import lampopt
 
@@ -20,17 +23,18 @@ bank = lampopt.build_bank(aircraft, decoder=decoder, store=folder / "aircraft.la
 bank = lampopt.label(bank, "aerosandbox", {"glide": "ld"}, store=folder / "aircraft-ld.lamp")
 bank = lampopt.label(bank, "wing", {"span": "span", "area": "planform_area"}, store=folder / "aircraft-labelled.lamp")
 
+reference = bank.names[int(np.argsort(bank.labels[:, 0])[len(bank) // 2])]  # the middle one
 wish = lampopt.Study(
     bank,
-    reference=bank.names[0],
+    reference=reference,
     keep=("span", "area"),
-    objective=lampopt.Reduce("glide", by=-0.10),  # more of it
+    objective=lampopt.Reduce("glide", by=-0.03),  # more of it
     measures=("aerosandbox", "wing"),
     measured={"glide": "aerosandbox.ld", "span": "wing.span", "area": "wing.planform_area"},
     turns=4,
 )
 result = lampopt.run(wish, folder / "run")
-before = lampopt.run(lampopt.Study(bank, reference=bank.names[0])).design.mesh
+before = lampopt.run(lampopt.Study(bank, reference=reference)).design.mesh
 after = result.design.mesh
 other = lampopt.Spec("aerosandbox", method="vlm", stations=24)
 for name, measure, value in (

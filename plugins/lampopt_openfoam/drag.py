@@ -95,7 +95,8 @@ class OpenFoamDrag:
     level
         "coarse" (some 16,000 cells a half car), "medium" (110,000) or "fine" (350,000).
     placements, first
-        How many grids, and the number of the first: another `first` gives fresh ones.
+        How many grids, and the number of the first: another `first` gives fresh ones. For one without a good grid the
+        next serves, up to twice as far.
     reynolds
         On the body's length.
     wind, up
@@ -157,7 +158,7 @@ class OpenFoamDrag:
         """All that is known of the flow around `mesh`. Raises as a call does."""
         surface = self._surface(mesh)
         solve = _solved if self.folder else _remembered
-        placed, foam, points, pressure = solve(self, surface)
+        placed, foam, points, pressure, notes = solve(self, surface)
         unseen = SCATTER[self._level] * abs(placed[0].drag)
         drag, drag_error = _mean([p.drag for p in placed], [p.drag_error for p in placed], unseen)
         lift, lift_error = _mean([p.lift for p in placed], [p.lift_error for p in placed], LIFT_SCATTER)
@@ -172,7 +173,7 @@ class OpenFoamDrag:
             level=self.level,
             half=surface.half,
             openfoam=str(foam),
-            notes=surface.notes,
+            notes=(*surface.notes, *notes),
             points=points,
             pressure=pressure,
         )
@@ -245,16 +246,25 @@ def _mean(values: list[float], errors: list[float], scatter: float) -> tuple[flo
     return float(np.mean(values)), float(np.sqrt((spread + np.mean(np.square(errors))) / n))
 
 
-Solved = tuple[tuple[Placed, ...], Installed, Array, Array]
+Solved = tuple[tuple[Placed, ...], Installed, Array, Array, tuple[str, ...]]
 
 
 def _solved(drag: OpenFoamDrag, surface: Surface) -> Solved:
     with _folder(drag.folder) as folder:
         foam = installed(drag.command, folder)
-        done = [
-            _placed(drag, surface, number, folder, foam) for number in range(drag.first, drag.first + drag.placements)
-        ]
-    return tuple(one for one, _, _ in done), foam, *done[0][1:]
+        done, bad = list[tuple[Placed, Array, Array]](), list[FlowError]()
+        for number in range(drag.first, drag.first + 2 * drag.placements):
+            try:
+                done.append(_placed(drag, surface, number, folder, foam))
+            except FlowError as error:  # how cells happen to lie says nothing of the flow: the next placement serves
+                if error.outcome != "bad-grid" or len(bad) == drag.placements:
+                    raise
+                bad.append(error)
+                log.warning("%s; the next placement serves", error)
+            if len(done) == drag.placements:
+                break
+    notes = tuple(f"another placement serves for one without a grid: {error.args[0]}" for error in bad)
+    return tuple(one for one, _, _ in done), foam, done[0][1], done[0][2], notes
 
 
 _remembered = lru_cache(maxsize=16)(_solved)  # without a folder: value and interval of one mesh are one flow
