@@ -3,8 +3,8 @@
     python examples/aircraft_study.py [FOLDER]
 
 AeroSandbox's AeroBuildup labels the exemplars and closes the loop, each time on the sections of the mesh that was made.
-The answer is then judged by the other model, a vortex lattice, which knows the induced drag alone. Span makes nearly all
-of lift over drag in this family: at 10 % every other parameter would be far out of its range. Needs the extra `aero`.
+The answer is then judged by the other model, a vortex lattice, which knows the induced drag alone. Span makes nearly
+all of lift over drag here: at 10 % every other parameter would be far out of its range. Needs the extra `aero`.
 """
 
 import sys

@@ -63,8 +63,9 @@ def main():
     parser.add_argument("--edge", type=float, default=60.0, help="of the sedan's mesh [mm]")
     parser.add_argument("--decoder", default="mesh-template")
     parser.add_argument("--level", default="coarse", help="of the flows that are searched with")
-    parser.add_argument("--placements", type=int, default=3, help="of the grid, for each flow")
-    parser.add_argument("--fresh", type=int, default=5, help="placements that design and reference are solved on anew")
+    parser.add_argument("--placements", type=int, default=3, help="of the grid, for each exemplar")
+    parser.add_argument("--closing", type=int, default=8, help="placements in the closed loop")
+    parser.add_argument("--fresh", type=int, default=8, help="placements that design and reference are solved on anew")
     parser.add_argument("--finer", action="store_true", help="and again one level finer")
     parser.add_argument("--turns", type=int, default=3, help="corrections of the ask")
     parser.add_argument("--seed", type=int, default=0, help="of the family and its fits")
@@ -103,7 +104,7 @@ def study(args):
     model = lampopt.fit_model(bank, "best", ["drag"], plugins=plugins)
     wish = lampopt.Study(
         bank, reference=args.reference, keep=tuple(HELD), objective=lampopt.Reduce("drag", by=CUT),
-        measures={"flow": Spec("openfoam-drag", **flow)}, measured={"drag": "flow.drag"}, turns=args.turns,
+        measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing})}, measured={"drag": "flow.drag"}, turns=args.turns,
     )  # fmt: skip
     result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", plugins=plugins)
     before = lampopt.run(lampopt.Study(bank, reference=args.reference), plugins=plugins).design
