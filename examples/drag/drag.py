@@ -104,7 +104,8 @@ def study(args):
     model = lampopt.fit_model(bank, "best", ["drag"], plugins=plugins)
     wish = lampopt.Study(
         bank, reference=args.reference, keep=tuple(HELD), objective=lampopt.Reduce("drag", by=CUT),
-        measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing})}, measured={"drag": "flow.drag"}, turns=args.turns,
+        measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing})},
+        measured={"drag": "flow.drag"}, turns=args.turns,
     )  # fmt: skip
     result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", plugins=plugins)
     before = lampopt.run(lampopt.Study(bank, reference=args.reference), plugins=plugins).design
