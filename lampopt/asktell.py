@@ -22,7 +22,7 @@ from lampopt.goals import Minimise
 from lampopt.plugins import Plugins
 from lampopt.protocols import Pullback, Solver
 from lampopt.reading import brief, content, path_of, why
-from lampopt.replay import Astray, Replay, Told, Unknown, apart, judged, numbers, read
+from lampopt.replay import Astray, Replay, Told, Unknown, apart, merit, numbers, read
 from lampopt.solve import solve
 from lampopt.study import Study
 from lampopt.task import Task
@@ -201,7 +201,7 @@ class AskTell:
         problem, best = self._posed.problem, (inf, inf, -1)
         for i, known in enumerate(self._known):
             if isfinite(known.value):
-                off, cost = judged(problem, known.alpha[self._posed.active])
+                off, cost = merit(problem, known.alpha[self._posed.active])
                 best = min(best, (off if off > HELD else 0.0, known.value / self._scale + cost, i))
         return None if best[2] < 0 else self._candidate(best[2])
 

@@ -96,7 +96,7 @@ def apart(one: Array, other: Array) -> bool:
     return one.shape != other.shape or bool(np.abs(one - other).max() > SAME * (1 + np.abs(other).max()))
 
 
-def judged(problem: Problem, alpha: Array) -> tuple[float, float]:
+def merit(problem: Problem, alpha: Array) -> tuple[float, float]:
     """How far alpha (n,) is from what it has to meet, and what else it costs."""
     rows, between = problem.matrix @ alpha - problem.target, problem.range_matrix @ alpha
     low = -inf if problem.alpha_low is None else problem.alpha_low

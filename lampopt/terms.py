@@ -19,7 +19,7 @@ Whole = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class Row:
     """row·alpha, of a column that is not asked to have a value."""
 
     name: str

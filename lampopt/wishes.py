@@ -23,8 +23,7 @@ from lampopt.quantities import Quantities, Quantity, inputs_of
 from lampopt.safeguards import safeguard
 from lampopt.solve import Column, Posed, columns, pose
 from lampopt.study import Study
-from lampopt.terms import Linear as Row
-from lampopt.terms import MeasuredValue, Remembered, model_value, shaped
+from lampopt.terms import MeasuredValue, Remembered, Row, model_value, shaped
 from lampopt.types import Array, Bank, Check, Needs, Term
 
 SPREAD = 0.2  # range of a measured value that no exemplar tells, in parts of its value at the start
