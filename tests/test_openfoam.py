@@ -373,7 +373,7 @@ echo '# Time Cd Cs Cl' > $out
 awk -v s=$last 'BEGIN { for (i = s + 1; i <= s + 260; i++) printf "%d %.6f 0 0.1\\n", i, VALUE }' >> $out
 echo 'smoothSolver:  Solving for Ux, Initial residual = 1e-05, Final residual = 1e-06'
 echo 'GAMG:  Solving for p, Initial residual = 1e-04, Final residual = 1e-06'
-n=0; while ! grep -q writeNow system/controlDict && [ $n -lt 100 ]; do sleep 0.05; n=$((n + 1)); done
+n=0; while ! grep -q '^stopAt.*writeNow' system/controlDict && [ $n -lt 100 ]; do sleep 0.05; n=$((n + 1)); done
 """
 GRADIENT = """
 cat > '0/grad(Phi)' <<X

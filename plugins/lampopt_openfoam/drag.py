@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .pairs import Paired
     from .refinement import Refined
 
-SCATTER: dict[Level, float] = {"coarse": 0.035, "medium": 0.02, "fine": 0.02}  # of drag, from placement to placement
+SCATTER: dict[Level, float] = {"coarse": 0.035, "medium": 0.03, "fine": 0.03}  # of drag, from placement to placement
 LIFT_SCATTER = 0.05
 LARGEST, SMALLEST, WIDEST = 1.0, 0.005, 2.5  # frontal area [length²] and width [length] that the domain is made for
 log = logging.getLogger("lampopt.openfoam")

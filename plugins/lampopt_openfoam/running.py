@@ -71,24 +71,26 @@ class Runner:
             raise self._failed(tool, f"cannot be started: {error}", _by(error, fails)) from error
         try:
             self._mark(process.pid)
-            self._wait(process, tool, watch)
+            seen_enough = self._wait(process, tool, watch)
         finally:
             _end(process)
             with suppress(OSError):
                 (self.case / "running").unlink()
         text = log.read_text(encoding="utf-8", errors="replace")
-        if process.returncode != 0 or "FOAM FATAL" in text:
+        if not seen_enough and (process.returncode != 0 or "FOAM FATAL" in text):
             raise self._ended(tool, process.returncode, text, fails)
         return text
 
-    def _wait(self, process: subprocess.Popen[bytes], tool: str, watch: Watch | None) -> None:
+    def _wait(self, process: subprocess.Popen[bytes], tool: str, watch: Watch | None) -> bool:
+        """Until it has ended; True where `watch` has seen enough before."""
         while process.poll() is None:
             if time.monotonic() > self.deadline:
                 raise self._failed(tool, "was still running when the time was up; allow more by timeout_s", "timed-out")
             if watch is not None and watch():
-                return
+                return True
             with suppress(subprocess.TimeoutExpired):
                 process.wait(TICK_S)
+        return False
 
     def _mark(self, pid: int) -> None:
         try:
@@ -104,14 +106,12 @@ class Runner:
         if code in MISSING:
             return FlowError(f"expected OpenFOAM's {tool}, got a command that is not there; {ASK}", "absent")
         if number == signal.SIGFPE:
-            outcome: Outcome = "diverged" if fails == "diverged" else fails
-            return self._failed(tool, "ended in a floating-point exception", outcome)
+            return self._failed(tool, "ended in a floating-point exception", fails)
         if number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU):
             return self._failed(
                 tool, f"was ended from outside, by {signal.Signals(number).name}; run it again", "killed"
             )
-        outcome = "failed" if fails == "diverged" else fails
-        return self._failed(tool, f"ended with exit code {code}", outcome)
+        return self._failed(tool, f"ended with exit code {code}", "failed" if fails == "diverged" else fails)
 
     def _failed(self, tool: str, what: str, outcome: Outcome) -> FlowError:
         log = self.case / f"log.{tool}"
