@@ -8,7 +8,6 @@ turned to tell it too, and so on until the target is met or the budget is spent.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from lampopt.goals import Reduce
 from lampopt.loop import run
 from lampopt.plugins import Plugins
 from lampopt.protocols import Progress
-from lampopt.secant import Plane, ranged_parameters
+from lampopt.secant import Plane, in_ranges
 from lampopt.study import Study
 from lampopt.task import Task
 from lampopt.types import Array, Bank, Parameter, Result
@@ -120,7 +119,7 @@ def active(
     if not 1 <= count < budget:
         raise InputError(f"budget: expected more than the {count} exemplars measured first, got {said(budget)}")
     tell = progress or (lambda done, message="", /: None)
-    parameters, trials, alphas = ranged_parameters(bank), list[Trial](), list[Array]()
+    parameters, trials, alphas = in_ranges(bank), list[Trial](), list[Array]()
 
     def measured(alpha: Array, called: str, predicted: float) -> float:
         tell(len(trials) / budget, called)
@@ -135,10 +134,13 @@ def active(
     start = trials[0].value
     if not np.isfinite(start):
         raise InputError(f"active: the reference {study.reference!r} has no {name}: choose another")
-    wanted, plane = (1 - by) * start, _plane(parameters, alphas, trials)
+    wanted, reach = (1 - by) * start, 1.0
+    seen = [(alpha @ parameters, t.value) for alpha, t in zip(alphas, trials, strict=True) if np.isfinite(t.value)]
+    plane = Plane(parameters, np.zeros_like, (*seen[1:], seen[0]))
     best: tuple[float, float, Result] | None = None
     for number in range(1, budget - len(trials) + 1):
-        aim = plane.value + float(np.clip(wanted - plane.value, -FARTHEST * abs(start), FARTHEST * abs(start)))
+        most = FARTHEST * abs(start)
+        aim = plane.value + reach * float(np.clip(wanted - plane.value, -most, most))
         result = run(_asked(study, bank, name, quantity.unit, plane, aim), folder, report=False, plugins=plugins)
         alpha = result.design.mix.alpha
         value = measured(alpha, f"design {number}", float(alpha @ plane.values))
@@ -147,8 +149,10 @@ def active(
             best = off, value, result
         if off <= tolerance:
             break
-        # Where nothing can be measured, half as far, from where something was.
-        plane = plane.through(alpha, value) if np.isfinite(value) else replace(plane, slope=2 * plane.slope)
+        if np.isfinite(value):
+            plane, reach = plane.through(alpha, value), 1.0
+        else:
+            reach /= 2  # from where something could be measured
     if best is None:
         raise InputError(f"active: none of {len(trials) - count} designs could be measured by {name}")
     tell(1.0, f"{len(trials)} evaluations")
@@ -162,15 +166,6 @@ def spread_out(parameters: Array, start: int, count: int) -> list[int]:
         rows.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(parameters - parameters[rows[-1]], axis=1))
     return rows
-
-
-def _plane(parameters: Array, alphas: Sequence[Array], trials: Sequence[Trial]) -> Plane:
-    """The plane of least slope through what was measured first, from the reference on."""
-    known = [k for k, trial in enumerate(trials) if np.isfinite(trial.value)]
-    at = np.array([alphas[k] for k in known]) @ parameters
-    values = np.array([trials[k].value for k in known])
-    slope = np.linalg.pinv(at - at[0], rcond=1e-6) @ (values - values[0])
-    return Plane(parameters, np.asarray(slope), at[0], float(values[0]))
 
 
 def _asked(study: Study, bank: Bank, name: str, unit: str, plane: Plane, aim: float) -> Study:

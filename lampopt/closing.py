@@ -166,9 +166,10 @@ def _planes(study: Study, quantities: Quantities, readings: Mapping[str, Reading
     n = len(bank)
     start = np.full(n, 1 / n) if study.reference is None else np.eye(n)[bank.names.index(study.reference)]
     for name in readings:
-        if name in {q.name for q in bank.label_space} and (plane := explained(bank, name)) is not None:
+        if name in {q.name for q in bank.label_space}:
             value = quantities.at(name, study.reference, study.measured[name])
-            found[name] = replace(plane, at=start @ plane.parameters, value=value)
+            if (plane := explained(bank, name, start, value, quantities.plugins)) is not None:
+                found[name] = plane
     return found
 
 

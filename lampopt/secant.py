@@ -1,47 +1,70 @@
-"""How a measured label goes with the parameters: its slopes over the exemplars, and what each measured design teaches.
+"""How a measured label goes with the parameters: what exemplars tell of it, and what each measured design teaches.
 
-Mixing reaches nearly every combination of labels without moving the shape as far as the labels say: with more
-exemplars than parameters, what parameters do not explain of a label (its curvature, noise) can be mixed at will, and
-the least mix does so. A plane through what was measured asks for the part that shapes follow.
+With more exemplars than parameters, what parameters do not explain of a label (noise, part of its curvature) can be
+mixed at will, and the least mix does so: the label falls and the shape does not. A plane through what was measured asks
+for the part that shapes follow.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from lampopt.fitted import fit_model
+from lampopt.plugins import Plugins
+from lampopt.protocols import CrossValidated
 from lampopt.types import Array, Bank
 
 EXPLAINED = 0.5  # least R² of a label by the parameters, each exemplar left out in turn
+MODEL = "quadratic"
+PRIOR = 0.3  # what the slope from the exemplars weighs beside a measured design one range away
+NEAR = 0.05  # [ranges] nearer designs than this do not weigh more
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A label near one measured design.
+    """A label near the last of several measured designs.
 
     Parameters
     ----------
     parameters
         (N, d) of the exemplars, in parts of their ranges.
-    slope
-        (d,) the label's.
-    at, value
-        (d,) the design's parameters, and what was measured there.
+    prior
+        The label's slope (d,) at parameters (d,), before anything was measured.
+    seen
+        Parameters (d,) and measured value of each design.
     """
 
     parameters: Array
-    slope: Array
-    at: Array
-    value: float
+    prior: Callable[[Array], Array]
+    seen: tuple[tuple[Array, float], ...]
+
+    @property
+    def at(self) -> Array:
+        """(d,) the last design."""
+        return self.seen[-1][0]
+
+    @property
+    def value(self) -> float:
+        """What was measured there."""
+        return self.seen[-1][1]
 
     def through(self, alpha: Array, value: float) -> Plane:
-        """The plane through another design, its slope the nearest that tells both (Broyden, 1965)."""
-        at = alpha @ self.parameters
-        step = at - self.at
-        missed = value - self.value - self.slope @ step
-        slope = self.slope + missed * step / size if (size := float(step @ step)) > 0 else self.slope
-        return replace(self, slope=slope, at=at, value=value)
+        """The plane through another design."""
+        return replace(self, seen=(*self.seen, (alpha @ self.parameters, value)))
+
+    @cached_property
+    def slope(self) -> Array:
+        """(d,) least squares over the designs before, nearer ones weighing more, and the prior."""
+        steps = np.array([at - self.at for at, _ in self.seen[:-1]]).reshape(-1, len(self.at))
+        gains = np.array([value - self.value for _, value in self.seen[:-1]])
+        weight = 1 / (np.linalg.norm(steps, axis=1) + NEAR)
+        rows = np.vstack([steps * weight[:, None], PRIOR * np.eye(len(self.at))])
+        told = np.append(gains * weight, PRIOR * self.prior(self.at))
+        return np.asarray(np.linalg.lstsq(rows, told, rcond=None)[0])
 
     @property
     def values(self) -> Array:
@@ -49,18 +72,51 @@ class Plane:
         return np.asarray(self.value + (self.parameters - self.at) @ self.slope)
 
 
-def ranged_parameters(bank: Bank) -> Array:
-    """(N, d) of the exemplars, in parts of their ranges."""
+def in_ranges(bank: Bank) -> Array:
+    """(N, d) the exemplars' parameters, in parts of their ranges."""
+    return np.asarray(bank.parameters / _ranges(bank))
+
+
+def explained(bank: Bank, label: str, start: Array, value: float, plugins: Plugins | None) -> Plane | None:
+    """The plane of a label through `value`, measured at the mix `start` (N,); None if parameters tell too little of it.
+
+    Its slopes are those of a quadratic model where one can be fitted, else of one plane over the exemplars.
+    """
+    prior = _by_model(bank, label, plugins) or _by_plane(bank, label)
+    if prior is None:
+        return None
+    parameters = in_ranges(bank)
+    return Plane(parameters, prior, ((start @ parameters, value),))
+
+
+def _ranges(bank: Bank) -> Array:
     spread = np.ptp(bank.parameters, axis=0)
-    return np.asarray(bank.parameters / np.where(spread > 0, spread, 1.0))
+    return np.where(spread > 0, spread, 1.0)
 
 
-def explained(bank: Bank, label: str) -> Plane | None:
-    """The plane of a label over the exemplars; None where the parameters tell too little of it."""
+def _by_model(bank: Bank, label: str, plugins: Plugins | None) -> Callable[[Array], Array] | None:
+    if plugins is None or ("model", MODEL) not in plugins.offers:
+        return None
+    model = fit_model(bank, MODEL, [label], plugins=plugins)
+    r2 = model.cross_validated[label]["r2"] if isinstance(model, CrossValidated) else np.nan
+    if not r2 >= EXPLAINED:
+        return None
+    ranges, names = _ranges(bank), [q.name for q in bank.space]
+    places = [names.index(name) for name in model.inputs]
+
+    def slope(at: Array) -> Array:
+        found = np.zeros(len(names))
+        found[places] = np.asarray(model.gradient((at * ranges)[None, places]))[0, 0]
+        return found * ranges
+
+    return slope
+
+
+def _by_plane(bank: Bank, label: str) -> Callable[[Array], Array] | None:
     values = bank.labels[:, [q.name for q in bank.label_space].index(label)]
-    parameters, known = ranged_parameters(bank), np.isfinite(values)
-    middle, mean = parameters[known].mean(0), float(values[known].mean())
-    rows, off = parameters[known] - middle, values[known] - mean
+    known = np.isfinite(values)
+    rows, off = in_ranges(bank)[known], values[known]
+    rows, off = rows - rows.mean(0), off - off.mean()
     inverse = np.linalg.pinv(rows, rcond=1e-8)
     share = 1 / len(rows) + np.einsum("nd,dn->n", rows, inverse)  # of its own value in what it is told
     if not (share < 1 - 1e-9).all():
@@ -68,4 +124,5 @@ def explained(bank: Bank, label: str) -> Plane | None:
     missed = (off - rows @ inverse @ off) / (1 - share)
     if missed @ missed > (1 - EXPLAINED) * (off @ off):
         return None
-    return Plane(parameters, inverse @ off, middle, mean)
+    slope = inverse @ off
+    return lambda _: slope
