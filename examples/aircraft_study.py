@@ -17,8 +17,8 @@ import lampopt
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "demo/aircraft")
 folder.mkdir(parents=True, exist_ok=True)
 
-aircraft = lampopt.exemplars("bwb", count=36, chordwise=32, spanwise=50)
-decoder = lampopt.Spec("mesh-template", faces=6000, tolerance=0.0)
+aircraft = lampopt.exemplars("bwb", count=24, chordwise=32, spanwise=50)
+decoder = lampopt.Spec("mesh-template", faces=4000, tolerance=0.0)
 bank = lampopt.build_bank(aircraft, decoder=decoder, store=folder / "aircraft.lamp")
 bank = lampopt.label(bank, "aerosandbox", {"glide": "ld"}, store=folder / "aircraft-ld.lamp")
 bank = lampopt.label(bank, "wing", {"span": "span", "area": "planform_area"}, store=folder / "aircraft-labelled.lamp")

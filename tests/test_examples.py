@@ -118,6 +118,17 @@ def test_drag_reduction_says_where_the_judge_is_not(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_aircraft_study(tmp_path):
+    pytest.importorskip("aerosandbox", reason="the extra aero is not installed: pip install 'lampopt[aero]'")
+    said = run("aircraft_study.py", tmp_path, "out")
+    lines = re.findall(r"^(.+?) {2,}\S+ +\S+ +([+-]\S+) %$", said, re.MULTILINE)
+    change = {name: float(percent) for name, percent in lines}
+    assert change["lift over drag, AeroBuildup"] == pytest.approx(3, abs=0.2)
+    assert abs(change["span"]) < 0.05
+    assert abs(change["planform area"]) < 0.05
+    assert "\naccepted " in said
+
+
 @pytest.fixture(scope="module")
 def component(tmp_path_factory):
     """The OpenMDAO component of the example, and what the example prints; its bank is kept."""
