@@ -88,7 +88,7 @@ def study(args):
     cars = family(folder, args.exemplars, args.seed, args.edge)
     if args.labels:
         cars = cached(cars, args.labels)
-    name = f"{args.decoder}-{args.exemplars}-{args.seed}"
+    name = f"{args.decoder}-{args.exemplars}-{args.seed}{'-given' if args.labels else ''}"
     with progress_bar("building the bank") as progress:
         bank = lampopt.build_bank(
             cars, args.decoder, seed=args.seed, store=folder / f"{name}.lamp", progress=progress, plugins=plugins
@@ -108,6 +108,8 @@ def study(args):
         measured={"drag": "flow.drag"}, turns=args.turns,
     )  # fmt: skip
     result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", plugins=plugins)
+    if result.design.mesh is None:
+        raise LampoptError(f"{result.folder}: the design has no surface")
     before = lampopt.run(lampopt.Study(bank, reference=args.reference), plugins=plugins).design
     alpha = np.array([before.mix.alpha, result.design.mix.alpha])
     predicted = model(alpha @ bank.parameters[:, [[q.name for q in bank.space].index(i) for i in model.inputs]])[:, 0]
