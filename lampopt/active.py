@@ -15,14 +15,15 @@ import numpy as np
 
 from lampopt.errors import InputError, StudyError
 from lampopt.goals import Reduce
-from lampopt.loop import run
+from lampopt.loop import MEASURED, run
 from lampopt.plugins import Plugins
 from lampopt.protocols import Progress
+from lampopt.reading import path_of
 from lampopt.secant import Plane, in_ranges
 from lampopt.study import Study
 from lampopt.task import Task
 from lampopt.types import Array, Bank, Parameter, Result
-from lampopt.units import said
+from lampopt.units import said, whole
 
 FARTHEST = 0.15  # of the reference's value: how far one proposal may go beyond what was measured
 log = logging.getLogger("lampopt")
@@ -52,7 +53,10 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """What the evaluations led to: the design nearest to `wanted`, and all that was measured on the way."""
+    """What the evaluations led to: the accepted design nearest to `wanted`, a rejected one where none was accepted.
+
+    `met` says whether it is accepted and within the tolerance; `trials` are all that was measured on the way.
+    """
 
     result: Result
     wanted: float
@@ -89,9 +93,10 @@ def active(
         How many of them are exemplars, the reference included; by default half as many as there are parameters, and
         two more.
     tolerance
-        Of the reference's value, within which the target is met.
+        Of the reference's value, within which the target is met by an accepted design.
     folder
-        A run folder, where each proposal is recorded and measures keep their work: an interrupted pursuit goes on.
+        A run folder, where each proposal is recorded and measures that can (`Keeping`) keep their work, so that an
+        interrupted pursuit goes on.
     progress
         Told how far it is.
     plugins
@@ -104,50 +109,70 @@ def active(
     InputError
         For a budget that leaves no proposal, or where the reference cannot be measured.
     """
+    if not isinstance(study, Study):
+        raise StudyError(f"active: expected a Study, got {study!r:.80}")
     if not isinstance(study.objective, Reduce) or study.reference is None:
         raise StudyError(f"active: expected an objective such as Reduce('flow.drag', by=0.1), got {study.objective}")
     if study.turns:
         raise StudyError("active: corrects by itself: leave turns out")
     name, by = study.objective.name, study.objective.by
     task = Task.of(study, plugins)
+    bank = task.bank
+    count = min(len(bank), (len(bank.space) + 1) // 2 + 2) if first is None else whole(first, "first", 2, len(bank))
+    budget = whole(budget, "budget", 1)
+    if count >= budget:
+        raise InputError(f"budget: expected more than the {count} exemplars measured first, got {said(budget)}")
+    if not (isinstance(tolerance, int | float) and 0 <= tolerance < 1):
+        raise InputError(f"tolerance: expected a part of the reference's value, got {said(tolerance)}")
+    if study.reference not in bank.names:
+        raise StudyError(f"reference {study.reference!r}: no exemplar of this bank; there are {', '.join(bank.names)}")
     if folder is not None:
-        task = task.keeping(Path(folder).absolute() / "measured")
-    quantity, bank = task.wishes.quantities[name], task.bank
+        folder = path_of(folder, "folder")
+        task = task.keeping(folder.absolute() / MEASURED)
+    quantities = task.wishes.quantities
+    quantity = quantities[name]
     if quantity.measure is None:
         raise StudyError(f"active: {name!r} is not measured: name a value of one of the study's measures")
-    count = min(len(bank), (len(bank.space) + 1) // 2 + 2 if first is None else first)
-    if not 1 <= count < budget:
-        raise InputError(f"budget: expected more than the {count} exemplars measured first, got {said(budget)}")
+    parameters, space = in_ranges(bank), bank.parameters
+    rows = spread_out(parameters, bank.names.index(study.reference), count)
+    flat = Plane(parameters, np.ones_like, ((parameters[rows[0]], 1.0),))
+    probe = Task.of(_asked(study, bank, name, flat, 0.9), plugins)
+    probe.posed(probe.asked({}))  # what cannot be asked is told before anything is measured
     tell = progress or (lambda done, message="", /: None)
-    parameters, trials, alphas = in_ranges(bank), list[Trial](), list[Array]()
+    trials, seen = list[Trial](), list[tuple[Array, float]]()
 
-    def measured(alpha: Array, called: str, predicted: float) -> float:
+    def measured(alpha: Array, called: str, predicted: float, value: float) -> None:
         tell(len(trials) / budget, called)
-        value = task.wishes.quantities.value(quantity, alpha)
-        trials.append(Trial(called, alpha @ bank.parameters, predicted, value))
-        alphas.append(alpha)
+        trials.append(Trial(called, alpha @ space, predicted, value))
+        if np.isfinite(value):
+            seen.append((alpha @ parameters, value))
         log.info("active: %s: %s %.6g", called, name, value)
-        return value
 
-    for row in spread_out(parameters, bank.names.index(study.reference), count):
-        measured(np.eye(len(bank))[row], bank.names[row], float("nan"))
+    for row in rows:
+        alpha = np.eye(len(bank))[row]
+        measured(alpha, bank.names[row], float("nan"), quantities.value(quantity, alpha))
     start = trials[0].value
-    if not np.isfinite(start):
-        raise InputError(f"active: the reference {study.reference!r} has no {name}: choose another")
+    if not (np.isfinite(start) and start != 0 and len(seen) > 1):
+        raise InputError(
+            f"active: {name} of the reference {study.reference!r} is {start:g}, and {len(seen)} of {count} exemplars "
+            "have one: expected a reference with a value other than 0, and one more exemplar; lampopt.label tells why "
+            "a measure cannot say anything of an exemplar"
+        )
     wanted, reach = (1 - by) * start, 1.0
-    seen = [(alpha @ parameters, t.value) for alpha, t in zip(alphas, trials, strict=True) if np.isfinite(t.value)]
     plane = Plane(parameters, np.zeros_like, (*seen[1:], seen[0]))
-    best: tuple[float, float, Result] | None = None
+    best: tuple[tuple[bool, float], float, Result] | None = None
     for number in range(1, budget - len(trials) + 1):
         most = FARTHEST * abs(start)
         aim = plane.value + reach * float(np.clip(wanted - plane.value, -most, most))
-        result = run(_asked(study, bank, name, quantity.unit, plane, aim), folder, report=False, plugins=plugins)
+        result = run(_asked(study, bank, name, plane, aim), folder, report=False, plugins=plugins)
         alpha = result.design.mix.alpha
-        value = measured(alpha, f"design {number}", float(alpha @ plane.values))
+        told = [check.value for check in result.checks if check.name == quantity.name and check.sense == "info"]
+        value = told[0] if told else quantities.value(quantity, alpha)  # it is measured once where meshes are judged
+        measured(alpha, f"design {number}", float(alpha @ plane.values), value)
         off = abs(value - wanted) / abs(start)
-        if np.isfinite(off) and (best is None or off < best[0]):
-            best = off, value, result
-        if off <= tolerance:
+        if np.isfinite(off) and (best is None or (not result.accepted, off) < best[0]):
+            best = (not result.accepted, off), value, result
+        if best is not None and best[0] <= (False, tolerance):
             break
         if np.isfinite(value):
             plane, reach = plane.through(alpha, value), 1.0
@@ -156,7 +181,7 @@ def active(
     if best is None:
         raise InputError(f"active: none of {len(trials) - count} designs could be measured by {name}")
     tell(1.0, f"{len(trials)} evaluations")
-    return Pursuit(best[2], wanted, best[1], best[0] <= tolerance, tuple(trials))
+    return Pursuit(best[2], wanted, best[1], best[0] <= (False, tolerance), tuple(trials))
 
 
 def spread_out(parameters: Array, start: int, count: int) -> list[int]:
@@ -168,16 +193,15 @@ def spread_out(parameters: Array, start: int, count: int) -> list[int]:
     return rows
 
 
-def _asked(study: Study, bank: Bank, name: str, unit: str, plane: Plane, aim: float) -> Study:
-    """The study with the plane's values as a label of all exemplars."""
-    label = name.replace(".", " ")
+def _asked(study: Study, bank: Bank, name: str, plane: Plane, aim: float) -> Study:
+    """The study with the plane's values as a label of all exemplars, which is asked for in place of the measure's."""
+    label = f"{name.replace('.', ' ')} by a plane"
     told = np.column_stack([bank.labels, plane.values])
-    space = (*bank.label_space, Parameter(label, unit, low=float(told[:, -1].min()), high=float(told[:, -1].max())))
+    space = (*bank.label_space, Parameter(label, low=float(told[:, -1].min()), high=float(told[:, -1].max())))
     return replace(
         study,
         bank=replace(bank, labels=told, label_space=space, path=None),
         targets={**study.targets, label: aim},
         objective=None,
-        measures={key: made for key, made in study.to_be_measured().items() if key != name.partition(".")[0]},
         measured={key: where for key, where in study.measured.items() if key != name},
     )

@@ -11,7 +11,8 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,24 +20,26 @@ import numpy as np
 
 from lampopt import lamp
 from lampopt.bank import decoder_of
-from lampopt.crew import Crew
+from lampopt.crew import Crew, lost
 from lampopt.decode import decode
-from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError
+from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, SweepError
 from lampopt.fitting import ranged
-from lampopt.identity import hashed, told, whole
+from lampopt.identity import hashed, told
+from lampopt.identity import whole as all_of
 from lampopt.measured import values_of
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
 from lampopt.protocols import Keeping, Measure, Progress
-from lampopt.reading import brief, path_of
+from lampopt.reading import brief, path_of, why
 from lampopt.types import Array, Bank, Parameter, Spec
-from lampopt.units import filled, said
+from lampopt.units import filled, said, whole
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 MEASURED = ".measured"  # behind the file's name: where a measure keeps what it has worked out
 LABELLED = "labelled."  # before a label's name in the provenance
+PATIENCE = 1.0  # s between two looks at who works
 log = logging.getLogger("lampopt")
 
 
@@ -91,19 +94,26 @@ def label(
     plugins = plugins or Plugins.load().report()
     choice = Spec.of(measure) if isinstance(measure, str | Spec) else measure
     called = choice.name if isinstance(choice, Spec) else type(choice).__name__
-    made: Measure = plugins.make("measure", choice) if isinstance(choice, Spec) else choice
+    made: object = plugins.make("measure", choice) if isinstance(choice, Spec) else choice
+    if not isinstance(made, Measure):
+        raise InputError(f"measure: expected an installed one's name, a Spec or a measure, got {said(measure):.80}")
+    resolution = whole(resolution, "resolution", 4, 4096)
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise InputError(f"executor: expected one as in concurrent.futures, with submit, got {executor!r:.80}")
     names = _names(called, made, values)
     if taken := [name for name in names if name in {q.name for q in bank.space}]:
         raise InputError(f"values: {taken[0]!r} is a parameter of this bank: call the label otherwise")
     who = told(choice, made, plugins)
-    plan = hashed({"bank": whole(bank), "label": names, "by": who, "resolution": resolution})
+    plan = hashed({"bank": all_of(bank), "label": names, "by": who, "resolution": resolution})
     path = None if store is None else path_of(store, "store")
     if path is not None and path.exists():
         return _finished(path, plan)
-    with nullcontext() if path is None else Partial.open(path, plan) as partial:
+    with nullcontext() if path is None else Partial.open(path, plan) as parts:
+        if path is not None and path.exists():  # another process has finished it meanwhile
+            return _finished(path, plan)
         if path is not None and isinstance(made, Keeping):
-            made = made.kept_in(path.with_name(path.name + MEASURED))
-        work = _Work(bank, called, made, resolution, partial, plugins)
+            made = made.kept_in(path.absolute().with_name(path.name + MEASURED))
+        work = _Work(bank, called, made, [*names.values()], resolution, parts, plugins)
         found, failed = work.done(executor, progress or (lambda done, message="", /: None))
         labelled = _with_labels(bank, called, made, names, found, failed, plan)
         if path is None:
@@ -116,15 +126,15 @@ def label(
 def _names(called: str, measure: Measure, values: object) -> dict[str, str]:
     """The measure's value behind each label."""
     if isinstance(values, Mapping):
-        names = dict(values)
+        names = dict(values) or {value: value for value in measure.names}
     elif isinstance(values, Sequence) and not isinstance(values, str):
         names = {value: value for value in values or measure.names}
     else:
         raise InputError(f"values: expected names such as ['drag'], or {{'cd': 'drag'}}, got {said(values):.80}")
     if unknown := [value for value in names.values() if value not in measure.names]:
         raise InputError(f"values: measure {called!r} has no {said(unknown[0])}; it has {', '.join(measure.names)}")
-    if strange := [name for name in names if not isinstance(name, str) or not name]:
-        raise InputError(f"values: expected labels' names, got {said(strange[0])}")
+    for name in names:
+        Parameter(name)  # refuses what is no name
     return names
 
 
@@ -132,14 +142,30 @@ class _Work:
     """The exemplars that are still to be measured."""
 
     def __init__(
-        self, bank: Bank, called: str, measure: Measure, resolution: int, partial: Partial | None, plugins: Plugins
+        self,
+        bank: Bank,
+        called: str,
+        measure: Measure,
+        wanted: Sequence[str],
+        resolution: int,
+        parts: Partial | None,
+        plugins: Plugins,
     ) -> None:
         self._bank, self._called, self._measure = bank, called, measure
-        self._resolution, self._partial = resolution, partial
+        self._resolution, self._parts = resolution, parts
+        self._wanted = [tuple(measure.names).index(value) for value in wanted]
         self._decoder = decoder_of(bank, plugins)
 
     def done(self, executor: Executor | None, tell: Progress) -> tuple[Array, dict[str, str]]:
-        """Values (N, p), and why those that are NaN could not be measured, by exemplar."""
+        """Values (N, p), and why those that are NaN could not be measured, by exemplar.
+
+        Raises
+        ------
+        InputError
+            If none can be measured, or some could not for a reason that may pass; what was measured is kept.
+        SweepError
+            If workers are lost.
+        """
         count = len(self._bank)
         values, failed = np.full((count, len(self._measure.names)), np.nan), dict[str, str]()
         kept = [number for number in range(count) if self._kept(number) is not None]
@@ -148,46 +174,61 @@ class _Work:
         for number in kept:
             values[number] = self._kept(number)
         tell(finished / count, f"{finished} of {count} exemplars are there already")
+        passing = dict[str, str]()
         for number, answer in self._answers(left, executor):
             finished, name = finished + 1, self._bank.names[number]
-            if isinstance(answer, str):
-                failed[name] = answer
-                log.warning("exemplar %r has no label: %s", name, answer)
+            if isinstance(answer, _Missing):
+                failed[name] = answer.why
+                log.warning("exemplar %r has no label: %s", name, answer.why)
+                if answer.passing:
+                    passing[name] = answer.why
             else:
                 values[number] = answer
                 self._keep(number, answer)
             tell(finished / count, f"exemplar {name}")
+        if passing:
+            name, reason = next(iter(passing.items()))
+            raise InputError(
+                f"{len(passing)} of {count} exemplars could not be measured for a reason that may pass ({name}: "
+                f"{brief(reason)}); where a file is written the others are kept: the same call goes on with the rest"
+            )
         if len(failed) == count:
             raise InputError(f"measure {self._called!r} can tell of no exemplar: {brief(next(iter(failed.values())))}")
         return values, failed
 
     def _kept(self, number: int) -> Array | None:
-        found = None if self._partial is None else self._partial.read(f"values_{number:05d}")
+        found = None if self._parts is None else self._parts.read(f"values_{number:05d}")
         return None if found is None else found["values"]
 
     def _keep(self, number: int, answer: Array) -> None:
-        if self._partial is not None:
-            self._partial.write(f"values_{number:05d}", {"values": answer})
+        if self._parts is not None:
+            self._parts.write(f"values_{number:05d}", {"values": answer})
 
-    def _answers(self, numbers: Sequence[int], executor: Executor | None) -> Iterator[tuple[int, Array | str]]:
+    def _answers(self, numbers: Sequence[int], executor: Executor | None) -> Iterator[tuple[int, Array | _Missing]]:
+        ask = partial(_measured, self._called, self._measure, self._wanted)
         if executor is None:
             for number in numbers:
-                yield number, _measured(self._called, self._measure, self._mesh(number))
+                yield number, ask(self._mesh(number))
             return
-        sent, waiting, most = dict[Future[Array | str], int](), list(numbers), Crew(executor).ahead
+        sent, waiting, crew = dict[Future[Array | _Missing], int](), list(numbers), Crew(executor)
         try:
             while waiting or sent:
-                while waiting and len(sent) < most:
+                while waiting and len(sent) < crew.ahead:
                     number = waiting.pop(0)
-                    mesh = self._mesh(number)
-                    sent[executor.submit(_measured, self._called, self._measure, mesh)] = number
-                for future in wait(sent, return_when=FIRST_COMPLETED).done:
+                    sent[executor.submit(ask, self._mesh(number))] = number
+                finished = wait(sent, PATIENCE, FIRST_COMPLETED).done
+                crew.expect()
+                for future in finished:
                     answer = future.result()
                     yield sent.pop(future), answer
+        except Exception as error:
+            if not lost(error):
+                raise
+            raise SweepError(f"a worker was lost: killed, out of memory, or shut down ({why(error)})") from error
         finally:  # what others have finished is kept, whatever one of them came to
             for future, number in sent.items():
                 done = not future.cancel() and future.done() and future.exception() is None
-                if done and not isinstance(answer := future.result(), str):
+                if done and not isinstance(answer := future.result(), _Missing):
                     self._keep(number, answer)
 
     def _mesh(self, number: int) -> Trimesh | None:
@@ -198,14 +239,25 @@ class _Work:
             return None
 
 
-def _measured(called: str, measure: Measure, mesh: Trimesh | None) -> Array | str:
-    """Values (p,), or why there are none."""
+@dataclass(frozen=True)
+class _Missing:
+    """Why an exemplar has no value, and whether trying again may help."""
+
+    why: str
+    passing: bool = False
+
+
+def _measured(called: str, measure: Measure, wanted: Sequence[int], mesh: Trimesh | None) -> Array | _Missing:
+    """Values (p,), those in the places `wanted` finite, or why there are none."""
     if mesh is None:
-        return "it has no surface"
+        return _Missing("it has no surface")
     try:
-        return values_of(called, measure, mesh)
+        values = values_of(called, measure, mesh)
     except (MeasureError, EmptyMesh) as error:
-        return str(error)
+        return _Missing(str(error), bool(getattr(error, "passing", False)))
+    if (strange := values[wanted][~np.isfinite(values[wanted])]).size:
+        return _Missing(f"{called} says {strange[0]}")
+    return values
 
 
 def _with_labels(

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lampopt.errors import InputError
 from lampopt.fitted import fit_model
 from lampopt.plugins import Plugins
 from lampopt.protocols import CrossValidated
@@ -97,7 +98,10 @@ def _ranges(bank: Bank) -> Array:
 def _by_model(bank: Bank, label: str, plugins: Plugins | None) -> Callable[[Array], Array] | None:
     if plugins is None or ("model", MODEL) not in plugins.offers:
         return None
-    model = fit_model(bank, MODEL, [label], plugins=plugins)
+    try:
+        model = fit_model(bank, MODEL, [label], plugins=plugins)
+    except InputError:  # too few exemplars with this label
+        return None
     r2 = model.cross_validated[label]["r2"] if isinstance(model, CrossValidated) else np.nan
     if not r2 >= EXPLAINED:
         return None
@@ -116,6 +120,8 @@ def _by_plane(bank: Bank, label: str) -> Callable[[Array], Array] | None:
     values = bank.labels[:, [q.name for q in bank.label_space].index(label)]
     known = np.isfinite(values)
     rows, off = in_ranges(bank)[known], values[known]
+    if len(rows) < 3:
+        return None
     rows, off = rows - rows.mean(0), off - off.mean()
     inverse = np.linalg.pinv(rows, rcond=1e-8)
     share = 1 / len(rows) + np.einsum("nd,dn->n", rows, inverse)  # of its own value in what it is told

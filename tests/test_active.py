@@ -11,10 +11,11 @@ import lampopt
 from lampopt import Maximise, Reduce, Study
 from lampopt.active import spread_out
 from lampopt.errors import InputError, MeasureError, StudyError
+from lampopt.plugins import Plugins
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
-from test_closing import PLUGINS
+from test_closing import PLUGINS, Offer
 
 
 @dataclass(frozen=True)
@@ -73,25 +74,67 @@ def test_a_budget_that_is_spent_gives_the_best_of_all(bank):
 def test_designs_that_cannot_be_measured_are_told_and_gone_around(bank):
     asked = study(bank, Tunnel(longest=2.62), objective=Reduce("flow.drag", by=-0.05), reference="box_6")
     found = lampopt.active(asked, plugins=PLUGINS, budget=12)
-    assert found.met or np.isnan([t.value for t in found.trials]).any()
-    assert np.isfinite(found.value)
+    assert np.isnan([t.value for t in found.trials]).any()
+    assert found.met
+
+
+@dataclass(frozen=True)
+class Kept(Tunnel):
+    """Keeps what it has said of a mesh."""
+
+    folder: str = ""
+
+    def kept_in(self, folder):
+        return replace(self, folder=str(folder))
+
+    def __call__(self, mesh):
+        file = Path(self.folder) / f"{mesh.volume:.12g}"
+        if file.exists():
+            return np.array([float(file.read_text())])
+        value = super().__call__(mesh)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(repr(float(value[0])))
+        return value
 
 
 def test_a_pursuit_that_was_stopped_goes_on(bank, tmp_path):
-    whole = lampopt.active(study(bank, Tunnel()), plugins=PLUGINS, folder=tmp_path / "one")
-    tunnel = Tunnel()
+    whole = Kept()
+    alone = lampopt.active(study(bank, whole), plugins=PLUGINS, folder=tmp_path / "one")
+    assert len(whole.seen) == alone.evaluations  # none twice
 
     class StoppedError(Exception):
         pass
 
     def stop(done, message=""):
-        if len(tunnel.seen) == 5:
+        if message == "design 2":
             raise StoppedError
 
+    before, after = Kept(), Kept()
     with pytest.raises(StoppedError):
-        lampopt.active(study(bank, tunnel), plugins=PLUGINS, folder=tmp_path / "two", progress=stop)
-    again = lampopt.active(study(bank, Tunnel()), plugins=PLUGINS, folder=tmp_path / "two")
-    np.testing.assert_array_equal(again.result.design.mix.alpha, whole.result.design.mix.alpha)
+        lampopt.active(study(bank, before), plugins=PLUGINS, folder=tmp_path / "two", progress=stop)
+    again = lampopt.active(study(bank, after), plugins=PLUGINS, folder=tmp_path / "two")
+    np.testing.assert_array_equal(again.result.design.mix.alpha, alone.result.design.mix.alpha)
+    assert len(before.seen) + len(after.seen) == alone.evaluations
+
+
+def test_a_rejected_design_does_not_meet_the_target(bank):
+    found = lampopt.active(study(bank, Tunnel(), limits={"alpha": 0.1}), plugins=PLUGINS, budget=7)
+    assert not found.met
+    assert not found.result.accepted
+
+
+def test_other_values_of_the_measure_can_be_asked(bank):
+    @dataclass(frozen=True)
+    class Two(Tunnel):
+        names, units = ("drag", "volume"), ("", "L^3")
+
+        def __call__(self, mesh):
+            return np.append(super().__call__(mesh), mesh.volume)
+
+    asked = study(bank, Two(), ranges={"flow.volume": (0, 9)})
+    asked = replace(asked, solver="nlopt")
+    plugins = Plugins.load([("small", small.Plugin()), ("offer", Offer())])
+    assert lampopt.active(asked, plugins=plugins).met
 
 
 def test_rows_are_spread_out():
@@ -106,7 +149,18 @@ def test_what_cannot_be_pursued(bank):
         lampopt.active(study(bank, Tunnel(), objective=Reduce("drag", by=0.1)), plugins=PLUGINS)
     with pytest.raises(StudyError, match="leave turns out"):
         lampopt.active(replace(study(bank, Tunnel()), turns=2), plugins=PLUGINS)
+    with pytest.raises(StudyError, match="no exemplar of this bank"):
+        lampopt.active(study(bank, Tunnel(), reference="box_99"), plugins=PLUGINS)
+    tunnel = Tunnel()
+    with pytest.raises(StudyError, match="neither a parameter"):
+        lampopt.active(study(bank, tunnel, keep=("widht",)), plugins=PLUGINS)
+    assert not tunnel.seen  # told before anything is measured
+    for wrong in ({"budget": "9"}, {"budget": 5.5}, {"first": 1}, {"tolerance": float("nan")}, {"folder": 3}):
+        with pytest.raises(InputError):
+            lampopt.active(study(bank, tunnel), plugins=PLUGINS, **wrong)
+    with pytest.raises(StudyError, match="expected a Study"):
+        lampopt.active(None)
     with pytest.raises(InputError, match="budget: expected more than the 3 exemplars measured first"):
         lampopt.active(study(bank, Tunnel()), plugins=PLUGINS, budget=3)
-    with pytest.raises(InputError, match="the reference 'box_5' has no"):
+    with pytest.raises(InputError, match="of the reference 'box_5' is nan"):
         lampopt.active(study(bank, Tunnel(longest=2.7), reference="box_5"), plugins=PLUGINS)

@@ -11,10 +11,12 @@ import pytest
 
 import lampopt
 from lampopt import Spec
-from lampopt.errors import BankError, InputError, MeasureError
+from lampopt.errors import BankError, InputError, MeasureError, SweepError
+from lampopt.workers import processes
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
+from lethal import Dies
 from test_closing import PLUGINS
 
 CALLS = []
@@ -158,3 +160,65 @@ def test_a_measure_that_tells_of_no_exemplar_is_refused():
 def test_by_name_and_with_options():
     made = lampopt.label(small.bank(), Spec("extents"), {"long": "length"}, plugins=small.plugins())
     np.testing.assert_allclose(made.labels[:, -1], small.LENGTHS, atol=1e-6)
+
+
+class Tired:
+    """Fails in passing once for each exemplar named."""
+
+    names, units = ("drag",), ("",)
+    left = 2
+
+    def __call__(self, mesh):
+        CALLS.append(mesh.extents[0])
+        if mesh.extents[0] < 2.3 and Tired.left:
+            Tired.left -= 1
+            error = MeasureError("the disk is full")
+            error.passing = True
+            raise error
+        return np.array([mesh.volume])
+
+
+def test_what_may_pass_is_tried_again(tmp_path):
+    bank, store = small.bank(), tmp_path / "labelled.lamp"
+    with pytest.raises(InputError, match=r"2 of 7 exemplars could not be measured for a reason that may pass"):
+        lampopt.label(bank, Tired(), store=store, plugins=small.plugins())
+    assert not store.exists()
+    made = lampopt.label(bank, Tired(), store=store, plugins=small.plugins())
+    assert np.isfinite(made.labels[:, -1]).all()
+    assert len(CALLS) == 7 + 2
+
+
+class Odd:
+    names, units = ("drag", "side"), ("", "")
+
+    def __call__(self, mesh):
+        return np.array([np.inf if mesh.extents[0] > 2.85 else 1 + mesh.volume, np.nan])
+
+
+def test_values_that_are_not_finite_are_none_and_told():
+    made = lampopt.label(small.bank(), Odd(), {"cd": "drag"}, plugins=small.plugins())
+    assert np.isnan(made.labels[5, -1]) and np.isfinite(made.labels[:5, -1]).all()
+    assert json.loads(made.provenance["labelled.cd"])["failed"] == {"box_5": "Odd says inf"}
+    with pytest.raises(InputError, match="can tell of no exemplar: Odd says nan"):
+        lampopt.label(small.bank(), Odd(), ["side"], plugins=small.plugins())
+
+
+def test_arguments_are_looked_at_first():
+    bank = small.bank()
+    for wrong in ({"measure": None}, {"measure": 3}, {"executor": 3}, {"resolution": 0}, {"resolution": "64"}):
+        with pytest.raises(InputError):
+            lampopt.label(bank, **{"measure": Air(), **wrong}, plugins=small.plugins())
+    assert not CALLS
+    every = lampopt.label(bank, Air(), {}, plugins=small.plugins())
+    assert [q.name for q in every.label_space] == ["drag", "lift", "wet"]
+
+
+def test_by_processes_and_what_becomes_of_lost_ones(tmp_path, monkeypatch):
+    bank = small.bank()
+    with processes(2) as executor:
+        made = lampopt.label(bank, "area", executor=executor, plugins=small.plugins())
+    np.testing.assert_array_equal(made.labels, lampopt.label(bank, "area", plugins=small.plugins()).labels)
+    (tmp_path / "fatal").write_text("2.4")
+    monkeypatch.setenv("LETHAL", str(tmp_path / "fatal"))
+    with processes(1) as executor, pytest.raises(SweepError, match="a worker was lost"):
+        lampopt.label(bank, Dies(), {"long": "length"}, executor=executor, plugins=small.plugins())
