@@ -1,4 +1,4 @@
-"""How often drag has to be evaluated until it is 10 % down: ``python -m benchmarks.active --help`` (docs/flow.md).
+"""How often drag is evaluated until it is 10 % down: ``python -m benchmarks.active --help`` (docs/performance.md).
 
 Three ways to one wish, the cases of benchmarks/drag.py: every exemplar labelled, then the closed loop; active learning,
 which measures a few; COBYLA on the measure itself. Every mesh that a way has drag measured on counts once, those of the

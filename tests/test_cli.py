@@ -271,7 +271,7 @@ def test_measure(call, ask, folder):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["extnts", "car_0.stl"], "installed are: area, bwb"),
+        (["extnts", "car_0.stl"], "installed are: aerosandbox, area, bwb"),
         (["extents", "none.stl"], "mesh none.stl: cannot be read"),
         (["extents", "cars.csv"], "mesh cars.csv: cannot be read"),
         (["plate", "car_0.stl"], "hole"),
@@ -355,7 +355,7 @@ def test_make_judges_as_far_as_it_is_told(ask, call, folder):
         (["--target", "length=1", "--solver-set", "ridge=-1"], "ridge"),
         (["--target", "length=1", "--resolution", "1"], "resolution: expected a whole number from 4"),
         (["--target", "length=1", "--level", "all"], "'alpha', 'field', 'mesh'"),
-        (["--target", "length=1", "--measure", "extnts"], "installed are: area"),
+        (["--target", "length=1", "--measure", "extnts"], "installed are: aerosandbox, area"),
         (["--target", "length=1", "--out", "car.step"], "expected a file ending in .stl"),
         (["--target", "length=1", "--out", "none/car.stl"], "in a folder that exists"),
     ],
@@ -379,6 +379,19 @@ def model(folder):
     fitted = regression.fit(rows, drag, inputs=("length", "angle"), names=("drag",), units=("N",), seed=0)
     store_fitted(fitted, folder / "drag.model", "model", "linear")
     return folder / "drag.model"
+
+
+def test_label(call, ask, folder, tmp_path):
+    code, document, _ = ask("label", folder / "cars.lamp", "area", "--value", "wet=area", "--out", tmp_path / "a.lamp")
+    assert code == 0
+    assert document["by"] == "area"
+    assert document["labels"]["wet"]["car_0"] == pytest.approx(2 * (0.8 + 0.5 + 0.4), rel=0.2)
+    assert document["labels"]["drag"]["car_3"] is None
+    code, document, _ = ask("label", folder / "cars.lamp", "extents", "--out", tmp_path / "b.lamp")
+    assert [*document["labels"]] == ["drag", *Plugins.load().make("measure", "extents").names]
+    code, err = call("label", folder / "cars.lamp", "area", "--value", "wet=aera", "--out", tmp_path / "c.lamp")
+    assert code == 2
+    assert "has no 'aera'" in err
 
 
 def test_make_with_ranges_weights_and_what_is_hard(ask, folder):
