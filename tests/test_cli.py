@@ -387,8 +387,8 @@ def test_label(call, ask, folder, tmp_path):
     assert document["by"] == "area"
     assert document["labels"]["wet"]["car_0"] == pytest.approx(2 * (0.8 + 0.5 + 0.4), rel=0.2)
     assert document["labels"]["drag"]["car_3"] is None
-    code, document, _ = ask("label", folder / "cars.lamp", "extents", "--out", tmp_path / "b.lamp")
-    assert [*document["labels"]] == ["drag", *Plugins.load().make("measure", "extents").names]
+    code, document, _ = ask("label", folder / "cars.lamp", "centroid", "--out", tmp_path / "b.lamp")
+    assert [*document["labels"]] == ["drag", *Plugins.load().make("measure", "centroid").names]
     code, err = call("label", folder / "cars.lamp", "area", "--value", "wet=aera", "--out", tmp_path / "c.lamp")
     assert code == 2
     assert "has no 'aera'" in err
