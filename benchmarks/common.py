@@ -42,7 +42,7 @@ CORE = (
     "mixes",
     "quantities",
     "safeguards",
-    "secant",
+    "plane",
     "solve",
     "task",
     "terms",

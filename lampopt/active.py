@@ -16,10 +16,10 @@ import numpy as np
 from lampopt.errors import InputError, StudyError
 from lampopt.goals import Reduce
 from lampopt.loop import MEASURED, run
+from lampopt.plane import Plane, in_ranges
 from lampopt.plugins import Plugins
 from lampopt.protocols import Progress
 from lampopt.reading import path_of
-from lampopt.secant import Plane, in_ranges
 from lampopt.study import Study
 from lampopt.task import Task
 from lampopt.types import Array, Bank, Parameter, Result

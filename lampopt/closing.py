@@ -3,7 +3,7 @@
 What is off is mostly the same nearby (a decoder's blunting, a label that is not linear in the mix), so that asking for
 as much more or less takes nearly all of it away. The first correction takes one unit asked for one unit measured; each
 turn then teaches how they really go together (Broyden, 1965). A label that the parameters explain is asked by a plane
-through what was measured (lampopt.secant), from the first turn. The best of all turns counts.
+through what was measured (lampopt.plane), from the first turn. The best of all turns counts.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 from lampopt.check import Limits
 from lampopt.errors import StudyError
 from lampopt.mix import predicted
+from lampopt.plane import Plane, explained
 from lampopt.quantities import Quantities, Quantity
-from lampopt.secant import Plane, explained
 from lampopt.solve import Column, Posed
 from lampopt.study import Study
 from lampopt.types import Array, Bank, Check, Mix

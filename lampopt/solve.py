@@ -118,7 +118,7 @@ def pose(
     sums: Sequence[tuple[Column, float, float]] = (),
     needed: Sequence[str] = (),
     moved: Sequence[str] = (),
-    told: Mapping[str, Array] | None = None,
+    instead: Mapping[str, Array] | None = None,
 ) -> Posed:
     """The problem that asks `targets` of `bank`.
 
@@ -142,7 +142,7 @@ def pose(
         Names that exemplars have to have a value for besides.
     moved
         Names that may have to move for what is asked, besides those that are.
-    told
+    instead
         (N,) what targets are taken to be over the exemplars, by name, in place of the bank's values.
 
     Raises
@@ -152,11 +152,11 @@ def pose(
     """
     ranges = dict(ranges or {})
     names = columns(bank)
-    instead = {name: replace(_movable(names, name), values=values) for name, values in (told or {}).items()}
-    rows = tuple(_movable(names | instead, name) for name in targets)
+    others = {name: replace(_movable(names, name), values=values) for name, values in (instead or {}).items()}
+    rows = tuple(_movable(names | others, name) for name in targets)
     limits = (*(_movable(names, name) for name in ranges), *(column for column, _, _ in sums))
     ends = [*ranges.values(), *((low, high) for _, low, high in sums)]
-    asked_for = [_movable(names, c.name) for c in rows]  # an exemplar without a label takes no part, whatever is told
+    asked_for = [_movable(names, c.name) for c in rows]  # without a label an exemplar takes no part
     known = [~np.isnan(c.values) for c in (*asked_for, *limits, *(_movable(names, name) for name in needed))]
     active = np.flatnonzero(np.all(known, axis=0) if known else np.ones(len(bank), bool))
     if among is not None:

@@ -135,10 +135,10 @@ class Task:
         return Wishes(self.study, self.bank, self.decoder, self.limits, quantities)
 
     def posed(
-        self, target: Mapping[str, float], memory: Memory | None = None, told: Mapping[str, Array] | None = None
+        self, target: Mapping[str, float], memory: Memory | None = None, instead: Mapping[str, Array] | None = None
     ) -> Posed:
-        """The problem that one target poses; `memory` and `told` as in `Wishes.posed`."""
-        return self.wishes.posed(target, memory, told)
+        """The problem that one target poses; `memory` and `instead` as in `Wishes.posed`."""
+        return self.wishes.posed(target, memory, instead)
 
     @cached_property
     def designer(self) -> Designer:
@@ -173,8 +173,8 @@ class Task:
         if not (self.study.turns or measured):
             return self.judge(target, posed, mix)
 
-        def again(ask: Mapping[str, float], told: Mapping[str, Array]) -> tuple[Posed, Mix]:
-            posed = self.posed(ask, told=told)
+        def again(ask: Mapping[str, float], instead: Mapping[str, Array]) -> tuple[Posed, Mix]:
+            posed = self.posed(ask, instead=instead)
             return posed, solve(posed, self.solver)
 
         found = closed(self.study, self.wishes.quantities, target, again, (posed, mix))

@@ -78,10 +78,10 @@ class Wishes:
     limits: Limits
     quantities: Quantities
 
-    def posed(self, target: Target, memory: Memory | None = None, told: Mapping[str, Array] | None = None) -> Posed:
+    def posed(self, target: Target, memory: Memory | None = None, instead: Mapping[str, Array] | None = None) -> Posed:
         """The problem that `target` [the bank's units] poses, and its terms.
 
-        `memory` knows what was evaluated, `told` (N,) what targets are taken to be over the exemplars instead.
+        `memory` knows what was evaluated, `instead` (N,) what targets are taken to be over the exemplars.
         """
         study, known = self.study, {name: self.quantities[name] for name in target}
         linear = {name: value for name, value in target.items() if known[name].column is not None}
@@ -97,7 +97,7 @@ class Wishes:
             moved=[part for given in study.linear.values() for part in given.of],
             sums=[self._sum(name, given) for name, given in study.linear.items()],
             needed=self._needed(),
-            told=told,
+            instead=instead,
         )
         n = len(posed.active)
         low, high = (None, None) if study.alpha is None else (np.full(n, end) for end in study.alpha)

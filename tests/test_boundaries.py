@@ -46,7 +46,7 @@ LAYERS = (
     {"angles"},
     {"check"},
     {"goals", "chain", "replay"},
-    {"quantities", "terms", "secant"},
+    {"quantities", "terms", "plane"},
     {"safeguards"},
     {"holdout", "recommend"},
     {"calibrate", "compare", "extrapolation", "residuals"},

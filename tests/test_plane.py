@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 import small
 
+from lampopt.plane import Plane, explained
 from lampopt.plugins import Plugins
-from lampopt.secant import Plane, explained
 
 
 def labelled(values, count=7):
