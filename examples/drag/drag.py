@@ -9,7 +9,9 @@ import argparse
 import csv
 import shutil
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 import lampopt
-from lampopt import Spec
 from lampopt.errors import LampoptError
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
-from lampopt.types import Parameter
-from lampopt.workers import processes
+from lampopt.types import Parameter, Spec
 
 HERE = Path(__file__).parent
 HELD = {"length": "extents.length", "width": "extents.width", "roof": "extents.height"}
@@ -56,13 +56,19 @@ def cached(cars, file):
     return replace(cars, labels=labels, label_space=(Parameter("drag"),))
 
 
+def crew(count):
+    return ProcessPoolExecutor(count, get_context("spawn"))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("demo/openfoam"))
     parser.add_argument("--exemplars", type=int, default=24)
     parser.add_argument("--edge", type=float, default=60.0, help="of the sedan's mesh [mm]")
     parser.add_argument("--decoder", default="mesh-template")
-    parser.add_argument("--level", default="coarse", help="of the flows that are searched with")
+    parser.add_argument(
+        "--level", default="coarse", choices=["coarse", "medium", "fine"], help="of the flows that are searched with"
+    )
     parser.add_argument("--placements", type=int, default=3, help="of the grid, for each exemplar")
     parser.add_argument("--closing", type=int, default=8, help="placements in the closed loop")
     parser.add_argument("--fresh", type=int, default=8, help="placements that design and reference are solved on anew")
@@ -73,6 +79,12 @@ def main():
     parser.add_argument("--labels", type=Path, help="labels.csv of an earlier run: exemplars are not solved")
     parser.add_argument("--workers", type=int, default=2, help="flows at a time")
     args = parser.parse_args()
+    if args.finer and args.level not in FINER:
+        parser.error(f"--finer: nothing is finer than {args.level}")
+    if args.fresh < 2:
+        parser.error("--fresh: expected two placements or more, of which a standard error can be told")
+    if args.labels and not args.labels.is_file():
+        parser.error(f"--labels: {args.labels} is not there")
     try:
         accepted = study(args)
     except LampoptError as error:
@@ -94,7 +106,7 @@ def study(args):
             cars, args.decoder, seed=args.seed, store=folder / f"{name}.lamp", progress=progress, plugins=plugins
         )
     if not args.labels:
-        with progress_bar("solving the exemplars") as progress, processes(args.workers) as executor:
+        with progress_bar("solving the exemplars") as progress, crew(args.workers) as executor:
             bank = lampopt.label(
                 bank, Spec("openfoam-drag", **flow), {"drag": "drag"}, store=folder / f"{name}-labelled.lamp",
                 executor=executor, progress=progress, plugins=plugins,

@@ -31,7 +31,7 @@ WORDS = {
     "Solve_Succeeded": "the best mix nearby is found",
     "Solved_To_Acceptable_Level": "the best mix nearby is found, to a looser tolerance",
     "Maximum_Iterations_Exceeded": "the search was stopped by its number of iterations: allow more",
-    "Diverging_Iterates": "the objective has no least value: add a ridge, ranges or bounds on alpha",
+    "Diverging_Iterates": "the objective has no least value: add safe=('alpha',), bounds on alpha or a ridge",
     "Infeasible_Problem_Detected": "no mix nearby meets all constraints",
     "Restoration_Failed": "no mix nearby was found that meets all constraints",
     "Search_Direction_Becomes_Too_Small": "the search came to a halt: a term may not be smooth",

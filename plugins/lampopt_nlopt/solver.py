@@ -102,7 +102,7 @@ class NLopt:
             words = f"no evaluation had a value, the mix is where the search began; {found.words}"
             return Mix(start, problem.matrix @ start - problem.target, "failed", words)
         if found.endless:
-            words = f"the objective has no least value: add a ridge, ranges or bounds on alpha; {found.words}"
+            words = f"the objective has no least value: add safe=('alpha',), bounds on alpha or a ridge; {found.words}"
             return Mix(found.alpha, problem.matrix @ found.alpha - problem.target, "failed", words)
         if not found.conflicts:
             return _told(problem, found.alpha, found.words, HELD)
