@@ -363,6 +363,14 @@ def test_versions_are_told_apart(said, found):
     assert _told(said) == found
 
 
+def test_a_failure_says_whether_trying_again_may_help():
+    lasting = {"refused-mesh", "bad-grid", "diverged", "not-settled"}
+    for name in OUTCOMES:
+        error = pickle.loads(pickle.dumps(FlowError("why", name)))
+        assert (error.outcome, error.passing) == (name, name not in lasting)
+    assert not MeasureError("not there").passing
+
+
 # Fakes of the tools.
 
 SOLVE = """
