@@ -7,6 +7,7 @@ import pickle
 import shutil
 import signal
 import stat
+import subprocess
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -559,8 +560,58 @@ def test_a_tool_with_an_error_of_its_own_is_told_with_its_words(tmp_path, fakes)
     fakes(potentialFoam="echo '--> FOAM FATAL ERROR:'; echo cannot find entry nu; exit 1")
     error = outcome(measure(tmp_path))
     assert error.outcome == "failed" and "cannot find entry nu" in str(error)
-    fakes(snappyHexMesh="kill -SEGV $$")
-    assert outcome(measure(tmp_path, first=1)).outcome == "bad-grid"
+
+
+FATAL = "echo '--> FOAM FATAL ERROR:'; echo 'Did not find a cell'"
+
+
+@pytest.mark.parametrize("tool", ["blockMesh", "snappyHexMesh", "checkMesh"])
+@pytest.mark.parametrize("end", ["exit 1", "exit 0", "kill -ABRT $$"])
+def test_a_mesher_with_an_error_of_its_own_has_made_no_grid(tool, end, tmp_path, fakes):
+    calls = fakes(**{tool: f"{FATAL}; {end}"})
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "bad-grid" and "Did not find a cell" in str(error)
+    tried = calls.read_text()
+    outcome(measure(tmp_path))  # it would come again: it is kept
+    assert calls.read_text() == tried
+
+
+@pytest.mark.parametrize(
+    ("end", "name"),
+    [
+        ("exit 255", "failed"),  # ssh lost
+        (f"{FATAL}; exit 255", "failed"),
+        ("exit 125", "failed"),  # docker's own
+        ("exit 1", "failed"),
+        ("echo '--> FOAM FATAL IO ERROR:'; exit 1", "failed"),  # a file, not the grid
+        ("echo std::bad_alloc; kill -ABRT $$", "failed"),
+        ("exit 134", "failed"),
+        ("kill -SEGV $$", "failed"),
+        ("kill -FPE $$", "failed"),
+        ("exit 137", "killed"),
+        ("kill -KILL $$", "killed"),
+    ],
+)
+@pytest.mark.parametrize("tool", ["blockMesh", "snappyHexMesh", "checkMesh"])
+def test_a_mesher_that_was_broken_off_says_nothing_of_the_grid(end, name, tool, tmp_path, fakes):
+    fakes(**{tool: end})
+    assert outcome(measure(tmp_path)).outcome == name
+    fakes()
+    measure(tmp_path)(car())  # nothing is kept
+
+
+def test_a_tool_that_cannot_be_started_says_nothing_of_the_grid(tmp_path, fakes, monkeypatch):
+    fakes()
+    start = subprocess.Popen
+
+    def short(words, **options):
+        if words[0] == "snappyHexMesh":
+            raise OSError(12, "Cannot allocate memory")
+        return start(words, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", short)
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "failed" and "cannot be started" in str(error)
 
 
 def test_a_full_disk_is_told_before_and_during(tmp_path, fakes, monkeypatch):
@@ -640,8 +691,6 @@ def test_an_interrupt_ends_the_tool(tmp_path, fakes, monkeypatch):
 
 
 def test_what_a_killed_process_left_running_is_ended(tmp_path):
-    import subprocess
-
     from lampopt_openfoam.running import end_left_over
 
     left = subprocess.Popen(["sleep", "60"], cwd=tmp_path, start_new_session=True)
@@ -684,7 +733,7 @@ def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
 
 
 def test_a_study_goes_on_past_a_level_that_fails(tmp_path, fakes):
-    fakes(checkMesh="grep -q '^nx *80' system/settings && exit 3\n" + CHECK)
+    fakes(checkMesh=f"grep -q '^nx *80' system/settings && {{ {FATAL}; exit 1; }}\n" + CHECK)
     told = measure(tmp_path).refined(car())
     assert [*told.flows] == ["coarse", "fine"] and told.drag is None
     assert "bad-grid" in told.failures["medium"]
