@@ -18,7 +18,7 @@ import trimesh
 
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.plugins import Plugins
-from lampopt_openfoam import case, grid, kept
+from lampopt_openfoam import case, flow, grid, kept
 from lampopt_openfoam.drag import OpenFoamDrag, _mean
 from lampopt_openfoam.installed import _told, installed
 from lampopt_openfoam.outcomes import OUTCOMES, FlowError
@@ -730,6 +730,28 @@ def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
         measure(tmp_path).compared(car(), car(2.0))
     with pytest.raises(InputError, match="two or more common placements"):
         paired(told.design, measure(tmp_path, placements=2, first=9).solve(car()))
+
+
+def test_a_placement_without_a_grid_of_one_design_serves_neither(tmp_path, fakes, monkeypatch):
+    fakes()
+    tall = car().apply_scale([1, 1, 1.2])
+    height = cleaned(car(), **FLOW).height
+    bad = {(True, 0), (False, 1)}  # of the lower one, of the taller one
+
+    def solved(surface, grid, *rest, **options):
+        if (surface.height == height, grid.number) in bad:
+            raise FlowError("no grid", "bad-grid")
+        return flow.solved(surface, grid, *rest, **options)
+
+    monkeypatch.setattr("lampopt_openfoam.drag.solved", solved)
+    made = measure(tmp_path, placements=2)
+    for told in (made.compared(tall, car()), replace(made, folder="").compared(car(), tall)):
+        assert [one.number for one in told.design.placed] == [one.number for one in told.reference.placed] == [2, 3]
+        assert len(told.drag.by_placement) == 2 and "another placement serves" in told.design.notes[-1]
+    bad.add((False, 3))
+    with pytest.raises(FlowError, match="no grid") as caught:
+        measure(tmp_path, placements=2, clearance=0.0).compared(car(), tall)
+    assert caught.value.outcome == "bad-grid"
 
 
 def test_a_study_goes_on_past_a_level_that_fails(tmp_path, fakes):

@@ -156,9 +156,17 @@ class OpenFoamDrag:
 
     def solve(self, mesh: Trimesh) -> Flow:
         """All that is known of the flow around `mesh`. Raises as a call does."""
-        surface = self._surface(mesh)
+        (flow,) = self._flows(self._surface(mesh))
+        return flow
+
+    def _flows(self, *surfaces: Surface) -> list[Flow]:
         solve = _solved if self.folder else _remembered
-        placed, foam, points, pressure, notes = solve(self, surface)
+        each, foam, notes = solve(self, surfaces)
+        return [self._flow(surface, done, foam, notes) for surface, done in zip(surfaces, each, strict=True)]
+
+    def _flow(self, surface: Surface, done: Sequence[One], foam: Installed, notes: tuple[str, ...]) -> Flow:
+        placed = tuple(one for one, _, _ in done)
+        _, points, pressure = done[0]
         unseen = SCATTER[self._level] * abs(placed[0].drag)
         drag, drag_error = _mean([p.drag for p in placed], [p.drag_error for p in placed], unseen)
         lift, lift_error = _mean([p.lift for p in placed], [p.lift_error for p in placed], LIFT_SCATTER)
@@ -179,14 +187,19 @@ class OpenFoamDrag:
         )
 
     def compared(self, mesh: Trimesh, reference: Trimesh) -> Paired:
-        """`mesh` held against `reference` on the same placements, halves both or whole. Raises as a call does."""
+        """`mesh` held against `reference` on the same placements, halves both or whole. Raises as a call does.
+
+        For a placement on which either has no good grid the next serves for both.
+        """
         from .pairs import paired
 
         if self.placements < 2:
             raise InputError(f"placements: expected two or more for a comparison, got {self.placements}")
         both = [self._surface(mesh), self._surface(reference)]
-        alike = self if both[0].half == both[1].half else replace(self, half="no")
-        return paired(alike.solve(mesh), alike.solve(reference))
+        if both[0].half == both[1].half:
+            return paired(*self._flows(*both))
+        whole = replace(self, half="no")
+        return paired(*whole._flows(whole._surface(mesh), whole._surface(reference)))
 
     def refined(self, mesh: Trimesh, levels: Sequence[str] = tuple(CELL)) -> Refined:
         """A grid study of `mesh`; a level that is not solved says why, and stops nothing. Raises where none is."""
@@ -246,16 +259,18 @@ def _mean(values: list[float], errors: list[float], scatter: float) -> tuple[flo
     return float(np.mean(values)), float(np.sqrt((spread + np.mean(np.square(errors))) / n))
 
 
-Solved = tuple[tuple[Placed, ...], Installed, Array, Array, tuple[str, ...]]
+One = tuple[Placed, Array, Array]  # with points and pressure
+Solved = tuple[tuple[tuple[One, ...], ...], Installed, tuple[str, ...]]  # of each surface all placements; notes
 
 
-def _solved(drag: OpenFoamDrag, surface: Surface) -> Solved:
+def _solved(drag: OpenFoamDrag, surfaces: tuple[Surface, ...]) -> Solved:
+    """All surfaces on the same placements."""
     with _folder(drag.folder) as folder:
         foam = installed(drag.command, folder)
-        done, bad = list[tuple[Placed, Array, Array]](), list[FlowError]()
+        done, bad = list[list[One]](), list[FlowError]()
         for number in range(drag.first, drag.first + 2 * drag.placements):
             try:
-                done.append(_placed(drag, surface, number, folder, foam))
+                done.append([_placed(drag, surface, number, folder, foam) for surface in surfaces])
             except FlowError as error:  # how cells happen to lie says nothing of the flow: the next placement serves
                 if error.outcome != "bad-grid" or len(bad) == drag.placements:
                     raise
@@ -264,7 +279,7 @@ def _solved(drag: OpenFoamDrag, surface: Surface) -> Solved:
             if len(done) == drag.placements:
                 break
     notes = tuple(f"another placement serves for one without a grid: {error.args[0]}" for error in bad)
-    return tuple(one for one, _, _ in done), foam, done[0][1], done[0][2], notes
+    return tuple(zip(*done, strict=True)), foam, notes
 
 
 _remembered = lru_cache(maxsize=16)(_solved)  # without a folder: value and interval of one mesh are one flow
@@ -284,9 +299,7 @@ def _folder(name: str) -> Iterator[Path]:
     yield folder.resolve()
 
 
-def _placed(
-    drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed
-) -> tuple[Placed, Array, Array]:
+def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed) -> One:
     """One placement, as it is kept or solved now."""
     from filelock import FileLock
 
