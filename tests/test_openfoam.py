@@ -717,6 +717,25 @@ def test_a_damaged_record_is_made_again(damage, tmp_path, fakes):
     assert json.loads(record.read_text())["drag"] == whole["drag"]
 
 
+@pytest.mark.parametrize("damage", [None, b"", b"junk", b"PK\x03\x04", "half", "flipped", "other"])
+def test_a_record_without_its_picture_is_made_again(damage, tmp_path, fakes):
+    calls = fakes()
+    first = measure(tmp_path)(car())
+    (picture,) = (tmp_path / "kept").glob("*.npz")
+    whole = picture.read_bytes()
+    if damage is None:
+        picture.unlink()
+    elif damage == "other":
+        np.savez(picture, points=np.zeros((2, 3)), pressure=np.zeros(3))
+    else:
+        cut = {"half": whole[: len(whole) // 2], "flipped": whole[:60] + b"\xff" * 40 + whole[100:]}
+        picture.write_bytes(cut.get(damage, damage))
+    assert measure(tmp_path)(car()) == pytest.approx(first)
+    assert calls.read_text().split().count("blockMesh") == 2
+    points, pressure = kept.read_pressure(picture)
+    assert points.shape == (0, 3) and pressure.shape == (0,)
+
+
 def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
     fakes()
     made = measure(tmp_path, placements=3)

@@ -318,8 +318,9 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
         found = kept.read(record)
         if isinstance(found, FlowError):
             raise found
-        if found is not None:
-            return found, *kept.read_pressure(picture)
+        seen = kept.read_pressure(picture)
+        if found is not None and seen is not None:
+            return found, *seen
         log.info("openfoam-drag: %s, placement %d, %s", drag.level, number, foam)
         try:
             placed, points, pressure = solved(
