@@ -276,6 +276,12 @@ def test_what_is_no_body_is_refused(mesh, what):
         cleaned(mesh, **FLOW)
 
 
+def test_what_is_no_mesh_is_told():
+    for mesh in (None, [1, 2], trimesh.PointCloud([[0, 0, 0]])):
+        with pytest.raises(InputError, match=r"expected a mesh \(trimesh.Trimesh\), got"):
+            OpenFoamDrag()(mesh)
+
+
 def test_an_empty_mesh_is_refused_as_by_other_measures():
     with pytest.raises(EmptyMesh):
         OpenFoamDrag()(trimesh.Trimesh(np.empty((0, 3)), np.empty((0, 3), int)))
@@ -341,7 +347,20 @@ def test_it_is_installed_and_can_be_sent_to_a_worker():
         ({"half": "maybe"}, "half: expected one of auto, yes, no"),
         ({"placements": 0}, "placements: expected a whole number, 1 or more"),
         ({"first": -1}, "first: expected"),
-        ({"reynolds": 0.0}, "reynolds: expected from"),
+        ({"reynolds": 0.0}, "reynolds: expected a number from"),
+        ({"reynolds": "4e6"}, "reynolds: expected a number from"),
+        ({"reynolds": float("nan")}, "reynolds: expected a number from"),
+        ({"clearance": True}, "clearance: expected a number from"),
+        ({"timeout_s": None}, "timeout_s: expected a number from"),
+        ({"level": ["coarse"]}, "level: expected one of"),
+        ({"half": ["auto"]}, "half: expected one of"),
+        ({"wind": ["x"]}, "wind: expected one of x"),
+        ({"up": None}, "up: expected one of x"),
+        ({"placements": True}, "placements: expected a whole number"),
+        ({"first": False}, "first: expected a whole number"),
+        ({"folder": 3}, "folder: expected a path"),
+        ({"command": None}, "command: expected words"),
+        ({"command": 'docker "run'}, "command: expected words .* No closing quotation"),
         ({"wind": "z"}, "wind: expected an axis across up"),
     ],
 )

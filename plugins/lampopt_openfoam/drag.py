@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -21,7 +22,7 @@ from . import kept
 from .case import GROUND, TEMPLATES
 from .flow import ITERATIONS, TOLERANCE, solved
 from .grid import CELL, Grid, Ground, Level
-from .installed import Installed, installed
+from .installed import Installed, installed, words
 from .kept import Placed
 from .outcomes import FlowError
 from .surface import Half, Surface, axes, cleaned
@@ -134,16 +135,21 @@ class OpenFoamDrag:
 
     def __post_init__(self) -> None:
         for option, known in (("level", CELL), ("ground", GROUND), ("half", get_args(Half))):
-            if getattr(self, option) not in known:
+            if getattr(self, option) not in [*known]:
                 raise InputError(f"{option}: expected one of {', '.join(known)}, got {getattr(self, option)!r:.80}")
         axes(self.wind, self.up)
         for option, least in (("placements", 1), ("first", 0)):
             value = getattr(self, option)
-            if not isinstance(value, int) or value < least:
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{option}: expected a whole number, {least} or more, got {value!r:.80}")
         for option, low, high in (("reynolds", 1e3, 1e9), ("timeout_s", 1.0, 1e7), ("clearance", -0.05, 10.0)):
-            if not low <= getattr(self, option) <= high:
-                raise InputError(f"{option}: expected from {low:g} to {high:g}, got {getattr(self, option)!r:.80}")
+            value = getattr(self, option)
+            plain = isinstance(value, int | float) and not isinstance(value, bool)
+            if not plain or not low <= value <= high:
+                raise InputError(f"{option}: expected a number from {low:g} to {high:g}, got {value!r:.80}")
+        if not isinstance(self.folder, str | PathLike):
+            raise InputError(f"folder: expected a path, or nothing, got {self.folder!r:.80}")
+        words(self.command)
 
     def __call__(self, mesh: Trimesh) -> Array:
         """The values (6,). Raises EmptyMesh, and FlowError naming the outcome."""

@@ -98,6 +98,8 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
 
     Raises
     ------
+    InputError
+        If it is no mesh.
     EmptyMesh
         If it has no faces.
     FlowError
@@ -105,6 +107,8 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
     """
     from trimesh import Trimesh
 
+    if not isinstance(mesh, Trimesh):
+        raise InputError(f"expected a mesh (trimesh.Trimesh), got {type(mesh).__name__}")
     if len(mesh.faces) == 0:
         raise EmptyMesh("expected a mesh with faces, got one without")
     faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices, float)
@@ -141,7 +145,7 @@ def axes(wind: str, up: str) -> Array:
     """(3, 3) rows: along the wind, across, up. Raises InputError where the options are no axes, or one axis."""
     named = {sign + axis: s * np.eye(3)[k] for k, axis in enumerate("xyz") for sign, s in (("", 1), ("-", -1))}
     for option, axis in (("wind", wind), ("up", up)):
-        if axis not in named:
+        if not isinstance(axis, str) or axis not in named:
             raise InputError(f"{option}: expected one of x, -x, y, -y, z, -z, got {axis!r:.80}")
     if wind.removeprefix("-") == up.removeprefix("-"):
         raise InputError(f"wind: expected an axis across up = {up!r}, got {wind!r}")
