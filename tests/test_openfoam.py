@@ -519,6 +519,15 @@ def test_a_tool_that_is_missing_from_a_container_is_told(tmp_path, fakes):
     assert outcome(measure(tmp_path, command="env A={case}")).outcome == "absent"
 
 
+def test_tools_run_on_another_host_where_a_shell_takes_words_apart(tmp_path, fakes):
+    fakes()
+    ssh = tmp_path / "bin" / "ssh"
+    ssh.write_text('#!/bin/sh\nshift\ncd /\nexec sh -c "$*"\n')  # as ssh does: one line of all words
+    ssh.chmod(0o755)
+    made = measure(tmp_path, command="ssh cluster cd {case} && timeout 1h")
+    assert made.solve(car()).drag == pytest.approx(0.3, abs=1e-3)
+
+
 def test_a_version_that_is_not_told_is_absent(tmp_path, monkeypatch):
     script = tmp_path / "simpleFoam"
     script.write_text("#!/bin/sh\necho hello\n")
