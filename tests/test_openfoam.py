@@ -811,6 +811,13 @@ def test_a_study_goes_on_past_a_level_that_fails(tmp_path, fakes):
     assert len(told.flows) == 3 and told.drag is not None and not told.drag.monotone
 
 
+def test_a_study_of_which_nothing_is_solved_raises(tmp_path, fakes):
+    fakes(checkMesh=f"{FATAL}; exit 1")
+    assert outcome(measure(tmp_path).refined).outcome == "bad-grid"
+    with pytest.raises(InputError, match="levels: expected one or more"):
+        measure(tmp_path).refined(car(), [])
+
+
 def test_the_cli_tells_people_and_programs(tmp_path, fakes, capsys):
     from lampopt import cli
 

@@ -208,9 +208,15 @@ class OpenFoamDrag:
         return paired(*whole._flows(whole._surface(mesh), whole._surface(reference)))
 
     def refined(self, mesh: Trimesh, levels: Sequence[str] = tuple(CELL)) -> Refined:
-        """A grid study of `mesh`; a level that is not solved says why, and stops nothing. Raises where none is."""
+        """A grid study of `mesh`; a level that is not solved says why, and stops nothing.
+
+        Raises as a call does, where no level is solved.
+        """
         from .refinement import refined
 
+        if not levels:
+            raise InputError("levels: expected one or more, got none")
+        last = None
         flows: dict[Level, Flow] = {}
         failures: dict[Level, str] = {}
         for drag in [replace(self, level=level) for level in levels]:
@@ -219,7 +225,9 @@ class OpenFoamDrag:
             except FlowError as error:
                 if error.outcome in ("absent", "refused-mesh", "disk-full"):
                     raise
-                failures[drag._level] = str(error)
+                failures[drag._level], last = str(error), error
+        if last is not None and not flows:
+            raise last
         return refined(flows, failures)
 
     def interval(self, mesh: Trimesh, level: float) -> Array:
