@@ -493,19 +493,38 @@ def test_value_and_interval_without_a_folder_are_one_flow(tmp_path, fakes):
     assert made.outside(trimesh.creation.box((1, 4, 0.2)))
 
 
-@pytest.mark.parametrize("option", [f.name for f in fields(OpenFoamDrag)])
+@pytest.mark.parametrize(
+    "option", sorted({f.name for f in fields(OpenFoamDrag)} - {"up", "folder"})
+)  # turns the body, keeps
 def test_results_are_kept_by_every_setting_that_matters(option, tmp_path, fakes):
     other = {
         "level": "medium", "placements": 2, "first": 1, "reynolds": 5e6, "wind": "-x", "half": "no", "ground": "fixed",
         "clearance": 0.01, "command": "env", "timeout_s": 50.0,
     }  # fmt: skip
-    if option not in other:  # up turns the body, the folder keeps
-        return
     calls = fakes()
     measure(tmp_path)(car())
     measure(tmp_path, **{option: other[option]})(car())
     same = option in ("command", "timeout_s")
     assert calls.read_text().split().count("blockMesh") == (1 if same else 2)
+
+
+@pytest.mark.parametrize(
+    ("tools", "name"),
+    [
+        ({}, ""),
+        ({"checkMesh": CHECK.replace("16000", "400")}, "bad-grid"),
+        ({"simpleFoam": SOLVE.replace("VALUE", "1e33")}, "diverged"),
+        ({"simpleFoam": "mkdir 100; exit 1"}, "failed"),
+    ],
+)
+def test_large_files_stay_only_where_they_are_gone_on_from(tools, name, tmp_path, fakes):
+    fakes(**tools)
+    made = measure(tmp_path)
+    assert outcome(made).outcome == name if name else len(made(car()))
+    for record in (tmp_path / "kept").glob("*.json"):
+        folders = {path.name for path in record.with_suffix("").iterdir() if path.is_dir()}
+        assert folders - {"postProcessing"} == {"system"}
+    assert bool([*(tmp_path / "kept").glob("*/constant/polyMesh")]) == (name == "failed")
 
 
 def test_absent_is_told(tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ from .flow import ITERATIONS, TOLERANCE, solved
 from .grid import CELL, Grid, Ground, Level
 from .installed import Installed, installed, words
 from .kept import Placed
-from .outcomes import FlowError
+from .outcomes import LASTING, FlowError
 from .surface import Half, Surface, axes, cleaned
 
 if TYPE_CHECKING:
@@ -348,6 +348,8 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
             )
         except FlowError as error:
             kept.write(record, error)
+            if error.outcome in LASTING:
+                _tidy(where)
             raise
         kept.write_pressure(picture, points, pressure)
         kept.write(record, placed)
@@ -356,7 +358,7 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
 
 
 def _tidy(case: Path) -> None:
-    """Of a solved case only the logs and the coefficients stay."""
+    """Of a case that is done with only the logs and the coefficients stay."""
     for path in case.iterdir():
         if path.is_dir() and path.name not in ("postProcessing", "system"):
             shutil.rmtree(path, ignore_errors=True)
