@@ -237,6 +237,28 @@ def test_a_large_part_that_floats_is_refused_and_wheels_are_kept():
     assert "kept 4 parts" in cleaned(trimesh.util.concatenate([car(), *wheels]), **FLOW).notes[-1]
 
 
+@pytest.mark.parametrize(
+    ("places", "what"),
+    [
+        ([(0, 0, -2.0)], "15% as long as the body that floats"),  # far below
+        ([(-1, 0, -0.65), (1, 0, -0.85)], "15% as long as the body that floats"),  # one of them higher than the other
+        ([(-1, 0, -0.65), (1, 0, -0.65)], ""),
+        ([(-1, 0, -0.65), (1, 0, -0.63)], ""),
+    ],
+)
+def test_large_parts_below_the_body_stand_on_one_ground_or_are_refused(places, what):
+    crumb = trimesh.creation.icosphere(1, 0.05).apply_translation([0, 0, -1.5])  # is not what they stand on
+    legs = [trimesh.creation.box((0.6, 0.6, 0.6)).apply_translation(place) for place in places]
+    mesh = trimesh.util.concatenate([car(), *legs, crumb])
+    if what:
+        with pytest.raises(FlowError, match=what):
+            cleaned(mesh, **FLOW)
+        return
+    made = cleaned(mesh, **FLOW)
+    assert made.height == pytest.approx((0.75 + 0.95) / 4)
+    assert made.notes[0].startswith("dropped 1 part") and made.notes[1].startswith("kept 2 parts")
+
+
 def test_flipped_faces_are_turned_with_a_note():
     mesh = car()
     faces = np.array(mesh.faces)
