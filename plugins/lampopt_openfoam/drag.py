@@ -6,7 +6,7 @@ import logging
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from os import PathLike
@@ -359,6 +359,7 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
 
 def _tidy(case: Path) -> None:
     """Of a case that is done with only the logs and the coefficients stay."""
-    for path in case.iterdir():
-        if path.is_dir() and path.name not in ("postProcessing", "system"):
-            shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):
+        for path in case.iterdir():
+            if path.is_dir() and path.name not in ("postProcessing", "system"):
+                shutil.rmtree(path, ignore_errors=True)
