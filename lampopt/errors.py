@@ -40,6 +40,8 @@ class SweepError(LampoptError):
 class MeasureError(LampoptError):
     """A feature that is not there to be measured."""
 
+    passing = False  # whether trying again may help
+
 
 class EmptyMesh(LampoptError):  # noqa: N818  # the name is the protocol's
     """A field without a zero level set, or a mesh without faces."""

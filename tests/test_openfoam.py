@@ -7,6 +7,7 @@ import pickle
 import shutil
 import signal
 import stat
+import subprocess
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import trimesh
 
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.plugins import Plugins
-from lampopt_openfoam import case, grid, kept
+from lampopt_openfoam import case, flow, grid, kept
 from lampopt_openfoam.drag import OpenFoamDrag, _mean
 from lampopt_openfoam.installed import _told, installed
 from lampopt_openfoam.outcomes import OUTCOMES, FlowError
@@ -236,6 +237,28 @@ def test_a_large_part_that_floats_is_refused_and_wheels_are_kept():
     assert "kept 4 parts" in cleaned(trimesh.util.concatenate([car(), *wheels]), **FLOW).notes[-1]
 
 
+@pytest.mark.parametrize(
+    ("places", "what"),
+    [
+        ([(0, 0, -2.0)], "15% as long as the body that floats"),  # far below
+        ([(-1, 0, -0.65), (1, 0, -0.85)], "15% as long as the body that floats"),  # one of them higher than the other
+        ([(-1, 0, -0.65), (1, 0, -0.65)], ""),
+        ([(-1, 0, -0.65), (1, 0, -0.63)], ""),
+    ],
+)
+def test_large_parts_below_the_body_stand_on_one_ground_or_are_refused(places, what):
+    crumb = trimesh.creation.icosphere(1, 0.05).apply_translation([0, 0, -1.5])  # is not what they stand on
+    legs = [trimesh.creation.box((0.6, 0.6, 0.6)).apply_translation(place) for place in places]
+    mesh = trimesh.util.concatenate([car(), *legs, crumb])
+    if what:
+        with pytest.raises(FlowError, match=what):
+            cleaned(mesh, **FLOW)
+        return
+    made = cleaned(mesh, **FLOW)
+    assert made.height == pytest.approx((0.75 + 0.95) / 4)
+    assert made.notes[0].startswith("dropped 1 part") and made.notes[1].startswith("kept 2 parts")
+
+
 def test_flipped_faces_are_turned_with_a_note():
     mesh = car()
     faces = np.array(mesh.faces)
@@ -273,6 +296,12 @@ def test_a_large_hole_is_refused_with_what_to_do():
 def test_what_is_no_body_is_refused(mesh, what):
     with pytest.raises(FlowError, match=what):
         cleaned(mesh, **FLOW)
+
+
+def test_what_is_no_mesh_is_told():
+    for mesh in (None, [1, 2], trimesh.PointCloud([[0, 0, 0]])):
+        with pytest.raises(InputError, match=r"expected a mesh \(trimesh.Trimesh\), got"):
+            OpenFoamDrag()(mesh)
 
 
 def test_an_empty_mesh_is_refused_as_by_other_measures():
@@ -340,7 +369,20 @@ def test_it_is_installed_and_can_be_sent_to_a_worker():
         ({"half": "maybe"}, "half: expected one of auto, yes, no"),
         ({"placements": 0}, "placements: expected a whole number, 1 or more"),
         ({"first": -1}, "first: expected"),
-        ({"reynolds": 0.0}, "reynolds: expected from"),
+        ({"reynolds": 0.0}, "reynolds: expected a number from"),
+        ({"reynolds": "4e6"}, "reynolds: expected a number from"),
+        ({"reynolds": float("nan")}, "reynolds: expected a number from"),
+        ({"clearance": True}, "clearance: expected a number from"),
+        ({"timeout_s": None}, "timeout_s: expected a number from"),
+        ({"level": ["coarse"]}, "level: expected one of"),
+        ({"half": ["auto"]}, "half: expected one of"),
+        ({"wind": ["x"]}, "wind: expected one of x"),
+        ({"up": None}, "up: expected one of x"),
+        ({"placements": True}, "placements: expected a whole number"),
+        ({"first": False}, "first: expected a whole number"),
+        ({"folder": 3}, "folder: expected a path"),
+        ({"command": None}, "command: expected words"),
+        ({"command": 'docker "run'}, "command: expected words .* No closing quotation"),
         ({"wind": "z"}, "wind: expected an axis across up"),
     ],
 )
@@ -361,6 +403,14 @@ def test_wrong_options_are_refused(options, what):
 )
 def test_versions_are_told_apart(said, found):
     assert _told(said) == found
+
+
+def test_a_failure_says_whether_trying_again_may_help():
+    lasting = {"refused-mesh", "bad-grid", "diverged", "not-settled"}
+    for name in OUTCOMES:
+        error = pickle.loads(pickle.dumps(FlowError("why", name)))
+        assert (error.outcome, error.passing) == (name, name not in lasting)
+    assert not MeasureError("not there").passing
 
 
 # Fakes of the tools.
@@ -465,19 +515,38 @@ def test_value_and_interval_without_a_folder_are_one_flow(tmp_path, fakes):
     assert made.outside(trimesh.creation.box((1, 4, 0.2)))
 
 
-@pytest.mark.parametrize("option", [f.name for f in fields(OpenFoamDrag)])
+@pytest.mark.parametrize(
+    "option", sorted({f.name for f in fields(OpenFoamDrag)} - {"up", "folder"})
+)  # turns the body, keeps
 def test_results_are_kept_by_every_setting_that_matters(option, tmp_path, fakes):
     other = {
         "level": "medium", "placements": 2, "first": 1, "reynolds": 5e6, "wind": "-x", "half": "no", "ground": "fixed",
         "clearance": 0.01, "command": "env", "timeout_s": 50.0,
     }  # fmt: skip
-    if option not in other:  # up turns the body, the folder keeps
-        return
     calls = fakes()
     measure(tmp_path)(car())
     measure(tmp_path, **{option: other[option]})(car())
     same = option in ("command", "timeout_s")
     assert calls.read_text().split().count("blockMesh") == (1 if same else 2)
+
+
+@pytest.mark.parametrize(
+    ("tools", "name"),
+    [
+        ({}, ""),
+        ({"checkMesh": CHECK.replace("16000", "400")}, "bad-grid"),
+        ({"simpleFoam": SOLVE.replace("VALUE", "1e33")}, "diverged"),
+        ({"simpleFoam": "mkdir 100; exit 1"}, "failed"),
+    ],
+)
+def test_large_files_stay_only_where_they_are_gone_on_from(tools, name, tmp_path, fakes):
+    fakes(**tools)
+    made = measure(tmp_path)
+    assert outcome(made).outcome == name if name else len(made(car()))
+    for record in (tmp_path / "kept").glob("*.json"):
+        folders = {path.name for path in record.with_suffix("").iterdir() if path.is_dir()}
+        assert folders - {"postProcessing"} == {"system"}
+    assert bool([*(tmp_path / "kept").glob("*/constant/polyMesh")]) == (name == "failed")
 
 
 def test_absent_is_told(tmp_path, monkeypatch):
@@ -489,6 +558,15 @@ def test_absent_is_told(tmp_path, monkeypatch):
 def test_a_tool_that_is_missing_from_a_container_is_told(tmp_path, fakes):
     fakes(snappyHexMesh="exit 127")
     assert outcome(measure(tmp_path, command="env A={case}")).outcome == "absent"
+
+
+def test_tools_run_on_another_host_where_a_shell_takes_words_apart(tmp_path, fakes):
+    fakes()
+    ssh = tmp_path / "bin" / "ssh"
+    ssh.write_text('#!/bin/sh\nshift\ncd /\nexec sh -c "$*"\n')  # as ssh does: one line of all words
+    ssh.chmod(0o755)
+    made = measure(tmp_path, command="ssh cluster cd {case} && timeout 1h")
+    assert made.solve(car()).drag == pytest.approx(0.3, abs=1e-3)
 
 
 def test_a_version_that_is_not_told_is_absent(tmp_path, monkeypatch):
@@ -551,8 +629,58 @@ def test_a_tool_with_an_error_of_its_own_is_told_with_its_words(tmp_path, fakes)
     fakes(potentialFoam="echo '--> FOAM FATAL ERROR:'; echo cannot find entry nu; exit 1")
     error = outcome(measure(tmp_path))
     assert error.outcome == "failed" and "cannot find entry nu" in str(error)
-    fakes(snappyHexMesh="kill -SEGV $$")
-    assert outcome(measure(tmp_path, first=1)).outcome == "bad-grid"
+
+
+FATAL = "echo '--> FOAM FATAL ERROR:'; echo 'Did not find a cell'"
+
+
+@pytest.mark.parametrize("tool", ["blockMesh", "snappyHexMesh", "checkMesh"])
+@pytest.mark.parametrize("end", ["exit 1", "exit 0", "kill -ABRT $$"])
+def test_a_mesher_with_an_error_of_its_own_has_made_no_grid(tool, end, tmp_path, fakes):
+    calls = fakes(**{tool: f"{FATAL}; {end}"})
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "bad-grid" and "Did not find a cell" in str(error)
+    tried = calls.read_text()
+    outcome(measure(tmp_path))  # it would come again: it is kept
+    assert calls.read_text() == tried
+
+
+@pytest.mark.parametrize(
+    ("end", "name"),
+    [
+        ("exit 255", "failed"),  # ssh lost
+        (f"{FATAL}; exit 255", "failed"),
+        ("exit 125", "failed"),  # docker's own
+        ("exit 1", "failed"),
+        ("echo '--> FOAM FATAL IO ERROR:'; exit 1", "failed"),  # a file, not the grid
+        ("echo std::bad_alloc; kill -ABRT $$", "failed"),
+        ("exit 134", "failed"),
+        ("kill -SEGV $$", "failed"),
+        ("kill -FPE $$", "failed"),
+        ("exit 137", "killed"),
+        ("kill -KILL $$", "killed"),
+    ],
+)
+@pytest.mark.parametrize("tool", ["blockMesh", "snappyHexMesh", "checkMesh"])
+def test_a_mesher_that_was_broken_off_says_nothing_of_the_grid(end, name, tool, tmp_path, fakes):
+    fakes(**{tool: end})
+    assert outcome(measure(tmp_path)).outcome == name
+    fakes()
+    measure(tmp_path)(car())  # nothing is kept
+
+
+def test_a_tool_that_cannot_be_started_says_nothing_of_the_grid(tmp_path, fakes, monkeypatch):
+    fakes()
+    start = subprocess.Popen
+
+    def short(words, **options):
+        if words[0] == "snappyHexMesh":
+            raise OSError(12, "Cannot allocate memory")
+        return start(words, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", short)
+    error = outcome(measure(tmp_path))
+    assert error.outcome == "failed" and "cannot be started" in str(error)
 
 
 def test_a_full_disk_is_told_before_and_during(tmp_path, fakes, monkeypatch):
@@ -632,8 +760,6 @@ def test_an_interrupt_ends_the_tool(tmp_path, fakes, monkeypatch):
 
 
 def test_what_a_killed_process_left_running_is_ended(tmp_path):
-    import subprocess
-
     from lampopt_openfoam.running import end_left_over
 
     left = subprocess.Popen(["sleep", "60"], cwd=tmp_path, start_new_session=True)
@@ -660,6 +786,25 @@ def test_a_damaged_record_is_made_again(damage, tmp_path, fakes):
     assert json.loads(record.read_text())["drag"] == whole["drag"]
 
 
+@pytest.mark.parametrize("damage", [None, b"", b"junk", b"PK\x03\x04", "half", "flipped", "other"])
+def test_a_record_without_its_picture_is_made_again(damage, tmp_path, fakes):
+    calls = fakes()
+    first = measure(tmp_path)(car())
+    (picture,) = (tmp_path / "kept").glob("*.npz")
+    whole = picture.read_bytes()
+    if damage is None:
+        picture.unlink()
+    elif damage == "other":
+        np.savez(picture, points=np.zeros((2, 3)), pressure=np.zeros(3))
+    else:
+        cut = {"half": whole[: len(whole) // 2], "flipped": whole[:60] + b"\xff" * 40 + whole[100:]}
+        picture.write_bytes(cut.get(damage, damage))
+    assert measure(tmp_path)(car()) == pytest.approx(first)
+    assert calls.read_text().split().count("blockMesh") == 2
+    points, pressure = kept.read_pressure(picture)
+    assert points.shape == (0, 3) and pressure.shape == (0,)
+
+
 def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
     fakes()
     made = measure(tmp_path, placements=3)
@@ -675,14 +820,43 @@ def test_designs_are_compared_on_the_same_placements(tmp_path, fakes):
         paired(told.design, measure(tmp_path, placements=2, first=9).solve(car()))
 
 
+def test_a_placement_without_a_grid_of_one_design_serves_neither(tmp_path, fakes, monkeypatch):
+    fakes()
+    tall = car().apply_scale([1, 1, 1.2])
+    height = cleaned(car(), **FLOW).height
+    bad = {(True, 0), (False, 1)}  # of the lower one, of the taller one
+
+    def solved(surface, grid, *rest, **options):
+        if (surface.height == height, grid.number) in bad:
+            raise FlowError("no grid", "bad-grid")
+        return flow.solved(surface, grid, *rest, **options)
+
+    monkeypatch.setattr("lampopt_openfoam.drag.solved", solved)
+    made = measure(tmp_path, placements=2)
+    for told in (made.compared(tall, car()), replace(made, folder="").compared(car(), tall)):
+        assert [one.number for one in told.design.placed] == [one.number for one in told.reference.placed] == [2, 3]
+        assert len(told.drag.by_placement) == 2 and "another placement serves" in told.design.notes[-1]
+    bad.add((False, 3))
+    with pytest.raises(FlowError, match="no grid") as caught:
+        measure(tmp_path, placements=2, clearance=0.0).compared(car(), tall)
+    assert caught.value.outcome == "bad-grid"
+
+
 def test_a_study_goes_on_past_a_level_that_fails(tmp_path, fakes):
-    fakes(checkMesh="grep -q '^nx *80' system/settings && exit 3\n" + CHECK)
+    fakes(checkMesh=f"grep -q '^nx *80' system/settings && {{ {FATAL}; exit 1; }}\n" + CHECK)
     told = measure(tmp_path).refined(car())
     assert [*told.flows] == ["coarse", "fine"] and told.drag is None
     assert "bad-grid" in told.failures["medium"]
     fakes()
     told = measure(tmp_path, folder=str(tmp_path / "other")).refined(car())
     assert len(told.flows) == 3 and told.drag is not None and not told.drag.monotone
+
+
+def test_a_study_of_which_nothing_is_solved_raises(tmp_path, fakes):
+    fakes(checkMesh=f"{FATAL}; exit 1")
+    assert outcome(measure(tmp_path).refined).outcome == "bad-grid"
+    with pytest.raises(InputError, match="levels: expected one or more"):
+        measure(tmp_path).refined(car(), [])
 
 
 def test_the_cli_tells_people_and_programs(tmp_path, fakes, capsys):

@@ -77,12 +77,19 @@ def test_what_is_no_wing():
     flat.vertices = flat.vertices * [1, 0, 1]
     with pytest.raises(MeasureError, match="without extent across"):
         WingFlow()(flat)
+    lost = aircraft()
+    lost.vertices[7, 1] = np.nan
+    with pytest.raises(MeasureError, match="expected finite vertices"):
+        WingFlow()(lost)
 
 
 @pytest.mark.parametrize(
     "options",
-    [{"method": "cfd"}, {"stations": 2}, {"stations": 9.0}, {"mach": 2.0}, {"alpha": 90.0}, {"unit": "kg"}],
-)
+    [
+        {"method": "cfd"}, {"method": ["vlm"]}, {"stations": 2}, {"stations": 9.0}, {"mach": 2.0}, {"alpha": 90.0},
+        {"beta": "0"}, {"unit": "kg"}, {"unit": 3},
+    ],
+)  # fmt: skip
 def test_options_that_make_no_flow(options):
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=f"^aerosandbox: {next(iter(options))}: "):
         WingFlow(**options)

@@ -52,7 +52,7 @@ class Condition:
             plain = isinstance(value, int | float) and not isinstance(value, bool)
             if not plain or not low <= value <= high or (name == "mach" and value == 0):
                 least = "more than 0" if name == "mach" else f"from {low:g}"
-                raise InputError(f"bwb: {name}: expected a number {least} to {high:g}, got {value!r:.100}")
+                raise InputError(f"aerosandbox: {name}: expected a number {least} to {high:g}, got {value!r:.100}")
 
 
 @dataclass(frozen=True)

@@ -60,13 +60,15 @@ class WingFlow:
     units = ("",) * len(COEFFICIENTS)
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
+        if self.method not in [*METHODS]:
             raise InputError(f"aerosandbox: method: expected one of {', '.join(METHODS)}, got {self.method!r:.100}")
         if not isinstance(self.stations, int) or not STATIONS[0] <= self.stations <= STATIONS[1]:
             raise InputError(
                 f"aerosandbox: stations: expected a whole number from {STATIONS[0]} to {STATIONS[1]}, got "
                 f"{self.stations!r:.100}"
             )
+        if not isinstance(self.unit, str):
+            raise InputError(f"aerosandbox: unit: expected a unit of length such as 'mm', got {self.unit!r:.100}")
         factor(self.unit, "m", "aerosandbox: unit")
         _ = self._condition
 
@@ -76,7 +78,7 @@ class WingFlow:
         Raises
         ------
         MeasureError
-            If it is no wing: nothing extends along y, or a section is open or has no length.
+            If it is no wing: nothing extends along y, a section is open or has no length, vertices are not finite.
         PluginError
             Without AeroSandbox.
         """
@@ -138,6 +140,8 @@ def airplane(mesh: Trimesh, stations: int, metre: float) -> Any:
 
 def sections(mesh: Trimesh, stations: int) -> list[Section]:
     """Sections of the half span from the plane of symmetry to the tip, the outer ones nearer to one another."""
+    if not np.isfinite(mesh.vertices).all():
+        raise MeasureError("aerosandbox: expected finite vertices, got some that are not")
     if len(mesh.faces) == 0 or not np.ptp(mesh.bounds[:, 1]) > 0:
         raise MeasureError("aerosandbox: expected a wing that extends along y, got a mesh without extent across")
     low, high = mesh.bounds[:, 1]

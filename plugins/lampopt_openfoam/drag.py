@@ -6,9 +6,10 @@ import logging
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -21,9 +22,9 @@ from . import kept
 from .case import GROUND, TEMPLATES
 from .flow import ITERATIONS, TOLERANCE, solved
 from .grid import CELL, Grid, Ground, Level
-from .installed import Installed, installed
+from .installed import Installed, installed, words
 from .kept import Placed
-from .outcomes import FlowError
+from .outcomes import LASTING, FlowError
 from .surface import Half, Surface, axes, cleaned
 
 if TYPE_CHECKING:
@@ -134,16 +135,21 @@ class OpenFoamDrag:
 
     def __post_init__(self) -> None:
         for option, known in (("level", CELL), ("ground", GROUND), ("half", get_args(Half))):
-            if getattr(self, option) not in known:
+            if getattr(self, option) not in [*known]:
                 raise InputError(f"{option}: expected one of {', '.join(known)}, got {getattr(self, option)!r:.80}")
         axes(self.wind, self.up)
         for option, least in (("placements", 1), ("first", 0)):
             value = getattr(self, option)
-            if not isinstance(value, int) or value < least:
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{option}: expected a whole number, {least} or more, got {value!r:.80}")
         for option, low, high in (("reynolds", 1e3, 1e9), ("timeout_s", 1.0, 1e7), ("clearance", -0.05, 10.0)):
-            if not low <= getattr(self, option) <= high:
-                raise InputError(f"{option}: expected from {low:g} to {high:g}, got {getattr(self, option)!r:.80}")
+            value = getattr(self, option)
+            plain = isinstance(value, int | float) and not isinstance(value, bool)
+            if not plain or not low <= value <= high:
+                raise InputError(f"{option}: expected a number from {low:g} to {high:g}, got {value!r:.80}")
+        if not isinstance(self.folder, str | PathLike):
+            raise InputError(f"folder: expected a path, or nothing, got {self.folder!r:.80}")
+        words(self.command)
 
     def __call__(self, mesh: Trimesh) -> Array:
         """The values (6,). Raises EmptyMesh, and FlowError naming the outcome."""
@@ -156,9 +162,17 @@ class OpenFoamDrag:
 
     def solve(self, mesh: Trimesh) -> Flow:
         """All that is known of the flow around `mesh`. Raises as a call does."""
-        surface = self._surface(mesh)
+        (flow,) = self._flows(self._surface(mesh))
+        return flow
+
+    def _flows(self, *surfaces: Surface) -> list[Flow]:
         solve = _solved if self.folder else _remembered
-        placed, foam, points, pressure, notes = solve(self, surface)
+        each, foam, notes = solve(self, surfaces)
+        return [self._flow(surface, done, foam, notes) for surface, done in zip(surfaces, each, strict=True)]
+
+    def _flow(self, surface: Surface, done: Sequence[One], foam: Installed, notes: tuple[str, ...]) -> Flow:
+        placed = tuple(one for one, _, _ in done)
+        _, points, pressure = done[0]
         unseen = SCATTER[self._level] * abs(placed[0].drag)
         drag, drag_error = _mean([p.drag for p in placed], [p.drag_error for p in placed], unseen)
         lift, lift_error = _mean([p.lift for p in placed], [p.lift_error for p in placed], LIFT_SCATTER)
@@ -179,19 +193,30 @@ class OpenFoamDrag:
         )
 
     def compared(self, mesh: Trimesh, reference: Trimesh) -> Paired:
-        """`mesh` held against `reference` on the same placements, halves both or whole. Raises as a call does."""
+        """`mesh` held against `reference` on the same placements, halves both or whole. Raises as a call does.
+
+        For a placement on which either has no good grid the next serves for both.
+        """
         from .pairs import paired
 
         if self.placements < 2:
             raise InputError(f"placements: expected two or more for a comparison, got {self.placements}")
         both = [self._surface(mesh), self._surface(reference)]
-        alike = self if both[0].half == both[1].half else replace(self, half="no")
-        return paired(alike.solve(mesh), alike.solve(reference))
+        if both[0].half == both[1].half:
+            return paired(*self._flows(*both))
+        whole = replace(self, half="no")
+        return paired(*whole._flows(whole._surface(mesh), whole._surface(reference)))
 
     def refined(self, mesh: Trimesh, levels: Sequence[str] = tuple(CELL)) -> Refined:
-        """A grid study of `mesh`; a level that is not solved says why, and stops nothing. Raises where none is."""
+        """A grid study of `mesh`; a level that is not solved says why, and stops nothing.
+
+        Raises as a call does, where no level is solved.
+        """
         from .refinement import refined
 
+        if not levels:
+            raise InputError("levels: expected one or more, got none")
+        last = None
         flows: dict[Level, Flow] = {}
         failures: dict[Level, str] = {}
         for drag in [replace(self, level=level) for level in levels]:
@@ -200,7 +225,9 @@ class OpenFoamDrag:
             except FlowError as error:
                 if error.outcome in ("absent", "refused-mesh", "disk-full"):
                     raise
-                failures[drag._level] = str(error)
+                failures[drag._level], last = str(error), error
+        if last is not None and not flows:
+            raise last
         return refined(flows, failures)
 
     def interval(self, mesh: Trimesh, level: float) -> Array:
@@ -246,16 +273,18 @@ def _mean(values: list[float], errors: list[float], scatter: float) -> tuple[flo
     return float(np.mean(values)), float(np.sqrt((spread + np.mean(np.square(errors))) / n))
 
 
-Solved = tuple[tuple[Placed, ...], Installed, Array, Array, tuple[str, ...]]
+One = tuple[Placed, Array, Array]  # with points and pressure
+Solved = tuple[tuple[tuple[One, ...], ...], Installed, tuple[str, ...]]  # of each surface all placements; notes
 
 
-def _solved(drag: OpenFoamDrag, surface: Surface) -> Solved:
+def _solved(drag: OpenFoamDrag, surfaces: tuple[Surface, ...]) -> Solved:
+    """All surfaces on the same placements."""
     with _folder(drag.folder) as folder:
         foam = installed(drag.command, folder)
-        done, bad = list[tuple[Placed, Array, Array]](), list[FlowError]()
+        done, bad = list[list[One]](), list[FlowError]()
         for number in range(drag.first, drag.first + 2 * drag.placements):
             try:
-                done.append(_placed(drag, surface, number, folder, foam))
+                done.append([_placed(drag, surface, number, folder, foam) for surface in surfaces])
             except FlowError as error:  # how cells happen to lie says nothing of the flow: the next placement serves
                 if error.outcome != "bad-grid" or len(bad) == drag.placements:
                     raise
@@ -264,7 +293,7 @@ def _solved(drag: OpenFoamDrag, surface: Surface) -> Solved:
             if len(done) == drag.placements:
                 break
     notes = tuple(f"another placement serves for one without a grid: {error.args[0]}" for error in bad)
-    return tuple(one for one, _, _ in done), foam, done[0][1], done[0][2], notes
+    return tuple(zip(*done, strict=True)), foam, notes
 
 
 _remembered = lru_cache(maxsize=16)(_solved)  # without a folder: value and interval of one mesh are one flow
@@ -284,9 +313,7 @@ def _folder(name: str) -> Iterator[Path]:
     yield folder.resolve()
 
 
-def _placed(
-    drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed
-) -> tuple[Placed, Array, Array]:
+def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed) -> One:
     """One placement, as it is kept or solved now."""
     from filelock import FileLock
 
@@ -305,8 +332,9 @@ def _placed(
         found = kept.read(record)
         if isinstance(found, FlowError):
             raise found
-        if found is not None:
-            return found, *kept.read_pressure(picture)
+        seen = kept.read_pressure(picture)
+        if found is not None and seen is not None:
+            return found, *seen
         log.info("openfoam-drag: %s, placement %d, %s", drag.level, number, foam)
         try:
             placed, points, pressure = solved(
@@ -320,6 +348,8 @@ def _placed(
             )
         except FlowError as error:
             kept.write(record, error)
+            if error.outcome in LASTING:
+                _tidy(where)
             raise
         kept.write_pressure(picture, points, pressure)
         kept.write(record, placed)
@@ -328,7 +358,8 @@ def _placed(
 
 
 def _tidy(case: Path) -> None:
-    """Of a solved case only the logs and the coefficients stay."""
-    for path in case.iterdir():
-        if path.is_dir() and path.name not in ("postProcessing", "system"):
-            shutil.rmtree(path, ignore_errors=True)
+    """Of a case that is done with only the logs and the coefficients stay."""
+    with suppress(OSError):
+        for path in case.iterdir():
+            if path.is_dir() and path.name not in ("postProcessing", "system"):
+                shutil.rmtree(path, ignore_errors=True)

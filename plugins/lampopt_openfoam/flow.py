@@ -164,7 +164,7 @@ def _coefficients(runner: Runner, grid: Grid, checked: Checked, began: float) ->
         shutil.copytree(files.TEMPLATES / "0", case / "0", dirs_exist_ok=True)
         shutil.rmtree(case / "postProcessing", ignore_errors=True)
         runner.run("potentialFoam", "-initialiseUBCs", "-writePhi", fails="diverged")
-        runner.run("postProcess", "-func", "grad(Phi)", "-time", "0")
+        runner.run("postProcess", "-func", "gradPhi", "-time", "0")
         files.start_from_potential(case)
     files.go_on(case)
     state = _Watch(case)

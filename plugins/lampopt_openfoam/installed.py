@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lampopt.errors import InputError
+
 from .outcomes import FlowError
 
 DEBIAN = Path("/usr/share/openfoam")  # where Debian's package has what other makes name in a login script
@@ -52,6 +54,17 @@ class Installed:
         return [*(word.replace("{case}", str(case)) for word in self.command), names.get(tool, tool), *arguments]
 
 
+def words(command: object) -> tuple[str, ...]:
+    """The words of `command`, as a shell tells them apart. Raises InputError where there are none to be told."""
+    try:
+        if isinstance(command, str):
+            return tuple(shlex.split(command))
+        why = ""
+    except ValueError as error:
+        why = f": {error}"
+    raise InputError(f"command: expected words as for a shell, got {command!r:.80}{why}")
+
+
 def installed(command: str, case: Path) -> Installed:
     """The OpenFOAM that `command` leads to, by default the one on the PATH.
 
@@ -60,11 +73,11 @@ def installed(command: str, case: Path) -> Installed:
     FlowError
         "absent", where there is none, or it does not say its version.
     """
-    words = tuple(shlex.split(command))
-    environment = {} if words else _environment()
+    before = words(command)
+    environment = {} if before else _environment()
     said = ""
     for tool in ("simpleFoam", "foamRun"):
-        call = [*(word.replace("{case}", str(case)) for word in words), tool, "-help"]
+        call = [*(word.replace("{case}", str(case)) for word in before), tool, "-help"]
         if not shutil.which(call[0]):
             said = said or f"no {call[0]} on the PATH"
             continue
@@ -76,7 +89,7 @@ def installed(command: str, case: Path) -> Installed:
             said = f"{shlex.join(call)}: {error}"
             continue
         if found := _told(done.stdout + done.stderr):
-            return Installed(*found, words, environment)
+            return Installed(*found, before, environment)
         last = (done.stdout + done.stderr).strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
         said = f"{shlex.join(call)} does not say its version: {last[0]}"
     raise FlowError(f"expected OpenFOAM, got none ({said}); {ASK}", "absent")

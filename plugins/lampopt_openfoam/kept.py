@@ -97,11 +97,16 @@ def write_pressure(path: Path, points: Array, pressure: Array) -> None:
     _put(path, data.getvalue())
 
 
-def read_pressure(path: Path) -> tuple[Array, Array]:
-    """What `write_pressure` has kept; empty where nothing is."""
-    with suppress(OSError, ValueError, KeyError), np.load(path, allow_pickle=False) as arrays:
-        return arrays["points"], arrays["pressure"]
-    return np.empty((0, 3)), np.empty(0)
+def read_pressure(path: Path) -> tuple[Array, Array] | None:
+    """What `write_pressure` has kept, or nothing of use."""
+    from zipfile import BadZipFile
+    from zlib import error as BadStream  # noqa: N812  # a class
+
+    damage = (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, BadZipFile, BadStream)
+    with suppress(*damage), path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        points, pressure = arrays["points"], arrays["pressure"]
+        return (points, pressure) if points.shape == (len(pressure), 3) else None
+    return None
 
 
 def _put(path: Path, data: bytes) -> None:

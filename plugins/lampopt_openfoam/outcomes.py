@@ -23,11 +23,15 @@ LASTING = frozenset({"bad-grid", "diverged", "not-settled"})  # trying again giv
 
 
 class FlowError(MeasureError):
-    """A flow that was not solved. `outcome` names the way; the message says where the log is and what to do."""
+    """A flow that was not solved. `outcome` names the way; the message says where the log is and what to do.
+
+    `passing` says whether trying again may help.
+    """
 
     def __init__(self, message: str, outcome: Outcome) -> None:
         super().__init__(message, outcome)
         self.outcome: Outcome = outcome
+        self.passing = outcome not in LASTING and outcome != "refused-mesh"
 
     def __str__(self) -> str:
         return f"openfoam-drag: {self.outcome}: {self.args[0]}"

@@ -67,14 +67,14 @@ def richardson(cells: list[float], values: list[float]) -> Extrapolated:
     first, last = f[0] - f[1], f[1] - f[2]
     monotone = bool(first * last > 0)
     observed = _order(h, first / last) if monotone else None
-    order, kind = (observed, "observed") if observed is not None else (THEORY, "assumed")
+    kind: Literal["observed", "assumed"] = "assumed" if observed is None else "observed"
+    order = THEORY if observed is None else observed
     ratio = (h[1] / h[2]) ** order
     step = last / (ratio - 1)
     said = f"observed order {order:.2f}" if kind == "observed" else f"order {order:g} assumed: "
     if kind == "assumed":
         said += "no order explains the values" if monotone else "the values do not go one way"
-    told: Literal["observed", "assumed"] = "observed" if observed is not None else "assumed"
-    return Extrapolated(float(f[2] - step), float(FACTORS[kind] * abs(step)), float(order), told, monotone, said)
+    return Extrapolated(float(f[2] - step), float(FACTORS[kind] * abs(step)), float(order), kind, monotone, said)
 
 
 def _order(h: np.ndarray, ratio: float) -> float | None:

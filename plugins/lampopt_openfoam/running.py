@@ -25,6 +25,7 @@ TICK_S = 0.2  # between two looks at a running tool
 GRACE_S = 5.0  # between asking a tool to end and ending it
 FULL = 2_000_000  # free bytes below which a tool that failed is taken to have failed for want of room
 MISSING = (126, 127)  # a shell's, a container's or ssh's word for a command that is not there
+LOST = (125, 255)  # a container's and ssh's word for a failure of their own
 TAIL = 6  # lines of a log in a message
 
 
@@ -43,14 +44,15 @@ class Runner:
         Parameters
         ----------
         fails
-            What it means when the tool ends with an error of its own.
+            What it means when the flow or the grid does not come out: "diverged" of a floating-point exception,
+            "bad-grid" of an error that the tool itself ends with. Whatever else a tool ends with is "failed".
         watch
             Looked at while it runs; True ends it at once.
 
         Raises
         ------
         FlowError
-            By name: absent, killed, disk-full, timed-out, diverged, or `fails`.
+            By name: absent, killed, disk-full, timed-out, failed, or `fails`.
         """
         log = self.case / f"log.{tool}"
         words = self.foam.words(tool, *arguments, case=self.case)
@@ -68,7 +70,7 @@ class Runner:
         except FileNotFoundError as error:
             raise FlowError(f"expected OpenFOAM's {tool}, got no {words[0]} on the PATH; {ASK}", "absent") from error
         except OSError as error:
-            raise self._failed(tool, f"cannot be started: {error}", _by(error, fails)) from error
+            raise self._failed(tool, f"cannot be started: {error}", _by(error, "failed")) from error
         try:
             self._mark(process.pid)
             seen_enough = self._wait(process, tool, watch)
@@ -105,13 +107,18 @@ class Runner:
             return self._failed(tool, "ran out of disk space; make room, what is finished is kept", "disk-full")
         if code in MISSING:
             return FlowError(f"expected OpenFOAM's {tool}, got a command that is not there; {ASK}", "absent")
+        if code in LOST:
+            return self._failed(tool, f"was lost by what runs it, with exit code {code}; run it again", "failed")
         if number == signal.SIGFPE:
-            return self._failed(tool, "ended in a floating-point exception", fails)
+            outcome: Outcome = "diverged" if fails == "diverged" else "failed"
+            return self._failed(tool, "ended in a floating-point exception", outcome)
         if number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU):
             return self._failed(
                 tool, f"was ended from outside, by {signal.Signals(number).name}; run it again", "killed"
             )
-        return self._failed(tool, f"ended with exit code {code}", "failed" if fails == "diverged" else fails)
+        by_itself = number in (0, signal.SIGABRT) and "FOAM FATAL ERROR" in text  # which it may abort with
+        outcome = "bad-grid" if fails == "bad-grid" and by_itself else "failed"
+        return self._failed(tool, f"ended with exit code {code}", outcome)
 
     def _failed(self, tool: str, what: str, outcome: Outcome) -> FlowError:
         log = self.case / f"log.{tool}"

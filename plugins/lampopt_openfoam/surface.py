@@ -30,7 +30,7 @@ Half = Literal["auto", "yes", "no"]
 ALIKE = 0.01  # of the length: how far left and right may be apart (99th percentile) to be solved as one
 SMALL = 0.1  # of the length: the largest extent of a part that floats and is taken for a leftover
 NEAR = 0.005  # of the length: parts nearer than that touch
-STANDS = 0.02  # of the length: how far above the lowest point a wheel may end
+STANDS = 0.02  # of the length: how far above the ground a wheel may end, and how far below the body
 WIDE, MOST = 0.1, 64  # of the diagonal: the widest hole that is closed, if it is flat; of how many edges at most
 GAP = 60  # parts of the length: the gap that a wrap is advised with
 DIGITS = 7  # of coordinates, in body lengths: what moving and scaling a mesh leaves the same
@@ -98,6 +98,8 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
 
     Raises
     ------
+    InputError
+        If it is no mesh.
     EmptyMesh
         If it has no faces.
     FlowError
@@ -105,6 +107,8 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
     """
     from trimesh import Trimesh
 
+    if not isinstance(mesh, Trimesh):
+        raise InputError(f"expected a mesh (trimesh.Trimesh), got {type(mesh).__name__}")
     if len(mesh.faces) == 0:
         raise EmptyMesh("expected a mesh with faces, got one without")
     faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices, float)
@@ -141,7 +145,7 @@ def axes(wind: str, up: str) -> Array:
     """(3, 3) rows: along the wind, across, up. Raises InputError where the options are no axes, or one axis."""
     named = {sign + axis: s * np.eye(3)[k] for k, axis in enumerate("xyz") for sign, s in (("", 1), ("-", -1))}
     for option, axis in (("wind", wind), ("up", up)):
-        if axis not in named:
+        if not isinstance(axis, str) or axis not in named:
             raise InputError(f"{option}: expected one of x, -x, y, -y, z, -z, got {axis!r:.80}")
     if wind.removeprefix("-") == up.removeprefix("-"):
         raise InputError(f"wind: expected an axis across up = {up!r}, got {wind!r}")
@@ -149,7 +153,10 @@ def axes(wind: str, up: str) -> Array:
 
 
 def _without_fragments(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
-    """The faces without small parts that float; larger ones have to stand on the ground, as wheels do."""
+    """The faces without small parts that float; larger ones have to stand on the ground, as wheels do.
+
+    The ground is where the lowest of all but the small parts ends; what stands on it reaches up to the body.
+    """
     part = _parts(faces)
     if part.max() == 0:
         return faces, []
@@ -157,28 +164,25 @@ def _without_fragments(vertices: Array, faces: Array) -> tuple[Array, list[str]]
     low = np.array([corners[part == k].min(axis=(0, 1)) for k in range(part.max() + 1)])
     high = np.array([corners[part == k].max(axis=(0, 1)) for k in range(part.max() + 1)])
     body = int(np.argmax(np.prod(high - low, axis=1)))
-    length, ground = float((high - low)[body].max()), float(low[:, 2].min())
+    size, length = (high - low).max(axis=1), float((high - low)[body].max())
     joined = _joined_to(body, vertices, faces, part, NEAR * length)
-    drop, kept, largest = [], 0, 0.0
-    ground = min((float(low[k, 2]) for k in range(len(low)) if k in joined), default=ground)
-    for k in sorted(set(range(len(low))) - joined):
-        size = float((high - low)[k].max())
-        if size <= SMALL * length:
-            drop.append(k)
-            largest = max(largest, size)
-        elif abs(low[k, 2] - min(ground, float(low[k, 2]))) <= STANDS * length:
-            kept += 1
-        else:
+    apart = [k for k in range(len(low)) if k not in joined]
+    drop, kept = ([k for k in apart if (size[k] <= SMALL * length) == small] for small in (True, False))
+    underside = low[[*joined], 2].min()
+    ground = min(underside, low[kept, 2].min(initial=np.inf))
+    for k in kept:
+        if low[k, 2] > ground + STANDS * length or high[k, 2] < underside - STANDS * length:
             raise _refused(
-                f"expected one body and what touches it, got a part {size / length:.0%} as long as the body "
+                f"expected one body and what touches it, got a part {size[k] / length:.0%} as long as the body "
                 "that floats beside it; take it away, or join it"
             )
     said = []
     if drop:
         what = "part that floated" if len(drop) == 1 else "parts that floated"
-        said.append(f"dropped {len(drop)} {what} beside the body, up to {largest / length:.1%} of its length")
+        said.append(f"dropped {len(drop)} {what} beside the body, up to {size[drop].max() / length:.1%} of its length")
     if kept:
-        said.append(f"kept {kept} parts apart from the body that stand on the ground")
+        what = "part apart from the body that stands" if len(kept) == 1 else "parts apart from the body that stand"
+        said.append(f"kept {len(kept)} {what} on the ground")
     return faces[~np.isin(part, drop)], said
 
 
