@@ -129,6 +129,30 @@ def test_aircraft_study(tmp_path):
     assert "\naccepted " in said
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--fresh", "1"], "--fresh: expected two placements or more"),
+        (["--level", "fine", "--finer"], "--finer: nothing is finer than fine"),
+        (["--level", "rough"], "invalid choice"),
+        (["--labels", "none.csv"], "--labels: none.csv is not there"),
+    ],
+)
+def test_make_drag_tells_wrong_options_before_anything_is_solved(options, message, tmp_path):
+    command = [sys.executable, str(EXAMPLES / "drag" / "drag.py"), "out", *options]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_make_drags_family_makes_cars(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES / "drag")
+    cars = importlib.import_module("drag").family(tmp_path, 12, 0, 120.0)
+    assert [q.unit for q in cars.space] == ["mm"] * 7
+    assert all(mesh.is_watertight for mesh in cars.meshes)
+
+
 @pytest.fixture(scope="module")
 def component(tmp_path_factory):
     """The OpenMDAO component of the example, and what the example prints; its bank is kept."""
