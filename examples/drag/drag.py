@@ -117,7 +117,7 @@ def study(args):
     wish = lampopt.Study(
         bank, reference=args.reference, keep=tuple(HELD), objective=lampopt.Reduce("drag", by=CUT),
         measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing})},
-        measured={"drag": "flow.drag"}, turns=args.turns,
+        measured={"drag": "flow.drag", **HELD}, turns=args.turns,
     )  # fmt: skip
     result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", plugins=plugins)
     if result.design.mesh is None:
