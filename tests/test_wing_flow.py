@@ -36,17 +36,17 @@ def test_half_whole_left_and_moved_along_are_one():
     left.vertices = left.vertices * [1, -1, 1]
     left.invert()
     ahead = right.copy()
-    ahead.apply_translation([1234, 0, 56])
+    ahead.apply_translation([1234, -777, 56])
     found = [WingFlow()(mesh) for mesh in (right, left, ahead, aircraft(half=False))]
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], rtol=1e-6, atol=1e-6)
 
 
-def test_units_are_the_meshs_own():
-    in_mm, in_m = aircraft(), bwb_mesh(MIDDLE)
-    in_m.vertices = in_m.vertices / 1000
-    np.testing.assert_allclose(WingFlow()(in_m), WingFlow()(in_mm), rtol=1e-5)
-    assert WingFlow(unit="mm")(in_m)[1] > 1.2 * WingFlow()(in_mm)[1]  # a thousandth of Reynolds' number
+def test_size_tells_nothing_but_reynolds_number():
+    large = aircraft()
+    large.vertices = large.vertices * 7
+    np.testing.assert_allclose(WingFlow()(large), WingFlow()(aircraft()), rtol=1e-5)
+    assert WingFlow(chord_m=0.001)(large)[1] > 1.2 * WingFlow()(large)[1]
 
 
 def test_sections_know_chord_twist_and_nose():
@@ -87,7 +87,7 @@ def test_what_is_no_wing():
     "options",
     [
         {"method": "cfd"}, {"method": ["vlm"]}, {"stations": 2}, {"stations": 9.0}, {"mach": 2.0}, {"alpha": 90.0},
-        {"beta": "0"}, {"unit": "kg"}, {"unit": 3},
+        {"beta": "0"}, {"chord_m": 0}, {"chord_m": "1 m"},
     ],
 )  # fmt: skip
 def test_options_that_make_no_flow(options):

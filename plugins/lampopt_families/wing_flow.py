@@ -9,7 +9,6 @@ import numpy as np
 
 from lampopt.errors import InputError, MeasureError
 from lampopt.types import Array
-from lampopt.units import factor
 
 from .bwb_aero import COEFFICIENTS, METHODS, POINTS, Condition, aerosandbox, evaluated
 
@@ -18,14 +17,14 @@ if TYPE_CHECKING:
 
 STATIONS = (6, 60)  # sections: too few lose the planform, many more tell nothing
 FIRST, LAST = 0.003, 0.985  # of the half span: where the innermost and the outermost section are cut
-ALONE = 0.02  # of the extent across: how far beyond the plane of symmetry a half model may reach
+ENDS, UNLIKE = 0.05, 1.5  # of the extent across: sections whose chords' ratio tells half models from whole ones
 
 
 @dataclass(frozen=True)
 class WingFlow:
     """Coefficients of an aircraft, by AeroSandbox (the extra `aero`), of the sections of its mesh.
 
-    x to the rear, y across, z up; a half model, its plane of symmetry at y = 0, or a whole one. Each section is cut
+    x to the rear, y across, z up; a half model, told by its unlike ends, or a whole one. Each section is cut
     from the mesh and becomes an airfoil with its chord, twist and height. Of reference are the planform area and the
     mean aerodynamic chord of the sections; the moment is about its quarter, at the noses' mean height.
 
@@ -39,8 +38,8 @@ class WingFlow:
         Flight condition: Mach number, altitude [m], angles of attack and sideslip [deg].
     stations
         Sections of the half span.
-    unit
-        The mesh's unit of length, where it says none itself; Reynolds' number depends on it.
+    chord_m
+        How long the longest section is in flight [m], which tells Reynolds' number whatever the mesh's unit.
 
     Raises
     ------
@@ -54,7 +53,7 @@ class WingFlow:
     alpha: float = 4.0
     beta: float = 0.0
     stations: int = 16
-    unit: str = "m"
+    chord_m: float = 1.0
 
     names = COEFFICIENTS
     units = ("",) * len(COEFFICIENTS)
@@ -67,9 +66,9 @@ class WingFlow:
                 f"aerosandbox: stations: expected a whole number from {STATIONS[0]} to {STATIONS[1]}, got "
                 f"{self.stations!r:.100}"
             )
-        if not isinstance(self.unit, str):
-            raise InputError(f"aerosandbox: unit: expected a unit of length such as 'mm', got {self.unit!r:.100}")
-        factor(self.unit, "m", "aerosandbox: unit")
+        length = self.chord_m
+        if not isinstance(length, int | float) or isinstance(length, bool) or not 0 < length < 1e6:
+            raise InputError(f"aerosandbox: chord_m: expected a length in metres, got {length!r:.100}")
         _ = self._condition
 
     def __call__(self, mesh: Trimesh) -> Array:
@@ -82,8 +81,7 @@ class WingFlow:
         PluginError
             Without AeroSandbox.
         """
-        metre = factor(mesh.units or self.unit, "m", "aerosandbox: unit")
-        cl, cd, cm = evaluated(airplane(mesh, self.stations, metre), self.method, self._condition, spanwise=1)
+        cl, cd, cm = evaluated(airplane(mesh, self.stations, self.chord_m), self.method, self._condition, spanwise=1)
         return np.array([cl, cd, cm, cl / cd])
 
     @property
@@ -108,10 +106,11 @@ class Section:
     outline: Array
 
 
-def airplane(mesh: Trimesh, stations: int, metre: float) -> Any:
-    """The aircraft of a mesh of which one length unit is `metre` metres, as an AeroSandbox `Airplane`."""
+def airplane(mesh: Trimesh, stations: int, longest: float) -> Any:
+    """The aircraft of a mesh, its longest chord `longest` metres, as an AeroSandbox `Airplane`."""
     asb = aerosandbox()
     found = sections(mesh, stations)
+    metre = longest / max(section.chord for section in found)
     y = metre * np.array([section.y for section in found])
     chord = metre * np.array([section.chord for section in found])
     nose = metre * np.array([section.nose for section in found])
@@ -144,14 +143,12 @@ def sections(mesh: Trimesh, stations: int) -> list[Section]:
         raise MeasureError("aerosandbox: expected finite vertices, got some that are not")
     if len(mesh.faces) == 0 or not np.ptp(mesh.bounds[:, 1]) > 0:
         raise MeasureError("aerosandbox: expected a wing that extends along y, got a mesh without extent across")
-    low, high = mesh.bounds[:, 1]
-    beyond = ALONE * (high - low)
-    if low >= -beyond:
-        middle, tip = 0.0, float(high)
-    elif high <= beyond:
-        middle, tip = 0.0, float(low)
+    low, high = mesh.bounds[:, 1].tolist()
+    first, last = (_section(mesh, low + part * (high - low), 0.0).chord for part in (ENDS, 1 - ENDS))
+    if max(first, last) <= UNLIKE * min(first, last):
+        middle, tip = (low + high) / 2, high
     else:
-        middle, tip = float(low + high) / 2, float(high)
+        middle, tip = (low, high) if first > last else (high, low)
     share = np.linspace(0, 1, stations)
     share = share + 0.15 * np.sin(np.pi * share) / np.pi
     cuts = np.clip(share, FIRST, LAST)
