@@ -10,21 +10,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
-from trimesh import Trimesh
 
 import lampopt
 from lampopt.errors import LampoptError
-from lampopt.protocols import Measure
-from lampopt.types import Array
 
 from .body import Body, judge_at
 from .common import Bench, Row, line, options, source, threads
 from .document import put, show, stamped
-from .drag import CUT, Studies, cases, of_body
+from .drag import CUT, Once, Studies, cases, of_body
 
 CASES = 20
 BUDGET = 100
@@ -32,31 +29,11 @@ CLOSE = 0.005  # of the reference's drag
 WAYS = ("label, then solve", "active", "cobyla")
 
 
-@dataclass(frozen=True, eq=False)
-class Counted:
-    """Measure: what `of` says; every mesh that it is asked for counts once, in order."""
-
-    of: Measure
-    values: dict[bytes, float] = field(default_factory=dict)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self.of.names
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return self.of.units
-
-    def __call__(self, mesh: Trimesh) -> Array:
-        found = self.of(mesh)
-        self.values.setdefault(np.ascontiguousarray(mesh.triangles).tobytes(), float(found[0]))
-        return found
-
-    def until(self, start: float, before: int) -> int | None:
-        """How many there were to the first that is close, with those `before`; None where none is."""
-        wanted = (1 - CUT) * start
-        close = [k for k, value in enumerate(self.values.values(), 1) if abs(value - wanted) <= CLOSE * start]
-        return before + close[0] if close else None
+def until(asked: Once, start: float, before: int) -> int | None:
+    """How many meshes there were to the first that is close, with those `before`; None where none is."""
+    wanted = (1 - CUT) * start
+    close = [k for k, value in enumerate(asked.known.values(), 1) if abs(value[0] - wanted) <= CLOSE * start]
+    return before + close[0] if close else None
 
 
 def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> Row:
@@ -64,7 +41,7 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
 
     def make() -> Row:
         bench, bank = studies.bench, studies.bank
-        drag = Counted(studies.drag)
+        drag = Once(studies.drag)
         start = float(studies.reference(reference)["drag"])
         asked = lampopt.Study(
             bank, keep=held, reference=bank.names[reference], measures={"truth": drag}, resolution=bench.resolution
@@ -84,7 +61,7 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
             target = {"truth.drag": (1 - CUT) * start}
             before = 1  # the reference tells the target
             lampopt.run(replace(asked, targets=target, hard=held, solver=solver), plugins=bench.plugins)
-        return {"evaluations": drag.until(start, before)}
+        return {"evaluations": until(drag, start, before)}
 
     known = studies.known(name, reference, list(held), BUDGET, CLOSE, source(sys.modules[__name__]))
     return studies.bench.scores.get(known, make)

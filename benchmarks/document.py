@@ -6,6 +6,7 @@ import json
 import math
 import os
 import platform
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -16,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+FOLDERS = re.compile(r"(?<![\w/.:…])/(?:[\w.+@-]+/)+")  # of absolute paths, which error messages name
 WIDE = ("name", "value", "grid", "nothing", "target", "met")  # of the rows' entries, those that fit a screen
 
 
@@ -36,11 +38,13 @@ def put(document: dict[str, Any], path: Path | None, *, out: bool = False) -> No
 
 
 def plain(value: Any) -> Any:
-    """`value` as strict JSON can hold it: null for what is no number."""
+    """`value` as strict JSON can hold it, and as any machine may: null for what is no number, no folder of this one."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
+    if isinstance(value, str):
+        return FOLDERS.sub("…/", value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -168,11 +168,13 @@ class _Work:
         """
         count = len(self._bank)
         values, failed = np.full((count, len(self._measure.names)), np.nan), dict[str, str]()
-        kept = [number for number in range(count) if self._kept(number) is not None]
-        left = [number for number in range(count) if number not in kept]
-        finished = len(kept)
-        for number in kept:
-            values[number] = self._kept(number)
+        left = list[int]()
+        for number in range(count):
+            if (kept := self._kept(number)) is None:
+                left.append(number)
+            else:
+                values[number] = kept
+        finished = count - len(left)
         tell(finished / count, f"{finished} of {count} exemplars are there already")
         passing = dict[str, str]()
         for number, answer in self._answers(left, executor):

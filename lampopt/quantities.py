@@ -66,6 +66,7 @@ class Quantities:
     measures: Mapping[str, Measure] = field(default_factory=dict)
     chain: Chain | None = None
     plugins: Plugins | None = None
+    _at: dict[tuple[str, str | None, str | None], float] = field(default_factory=dict, repr=False)
 
     def __getitem__(self, name: str) -> Quantity:
         """The quantity called `name`.
@@ -151,13 +152,18 @@ class Quantities:
         """The value of `name` at an exemplar; at the bank's mean where there is no reference.
 
         With `address` it is what is measured there on the exemplar as the bank decodes it, which is what a design is
-        to be compared with.
+        to be compared with. It is worked out once, however many designs ask for it.
 
         Raises
         ------
         StudyError
             If there is no such exemplar, or it has no value for it.
         """
+        if (key := (name, reference, address)) not in self._at:
+            self._at[key] = self._value_at(name, reference, address)
+        return self._at[key]
+
+    def _value_at(self, name: str, reference: str | None, address: str | None) -> float:
         quantity = self[name]
         if reference is not None and reference not in self.bank.names:
             known = ", ".join(self.bank.names)

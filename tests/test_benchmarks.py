@@ -14,9 +14,9 @@ import lampopt
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [p for p in (str(HERE.parent),) if p not in sys.path]
-common, grid, plate, body, fidelity, measures, sections, warp = (
+common, document, grid, plate, body, fidelity, measures, sections, warp = (
     importlib.import_module(f"benchmarks.{name}")
-    for name in ("common", "grid", "plate", "body", "fidelity", "measures", "sections", "warp")
+    for name in ("common", "document", "grid", "plate", "body", "fidelity", "measures", "sections", "warp")
 )
 PITCH = 0.05
 
@@ -187,6 +187,15 @@ def test_an_option_without_a_value_is_said_and_exits_2(text, capsys):
 def test_options_of_the_decoder_are_read():
     given = ["--decoder-set", "steps=40", "--decoder-set", "rate=1e-3", "--decoder-set", "kind=a=b"]
     assert dict(fidelity.arguments(given).decoder_set) == {"steps": 40, "rate": 1e-3, "kind": "a=b"}
+
+
+def test_documents_name_no_folder_of_the_machine():
+    said = "no room in /home/me/flows, its log is /tmp/x-1/case/log.solver; docs at https://example.org/a/b, 3 m/s"
+    wanted = "no room in …/flows, its log is …/log.solver; docs at https://example.org/a/b, 3 m/s"
+    assert document.plain({"a": [said]}) == {"a": [wanted]}
+    for path in (HERE.parent / "benchmarks" / "results").glob("*.json"):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        assert found == document.plain(found), path.name
 
 
 def test_the_page_that_it_names_exists():

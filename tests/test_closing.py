@@ -232,3 +232,19 @@ def test_a_label_that_can_be_mixed_without_the_shape_is_still_had():
     assert off[0] > 0.05
     assert off[1] < 0.02
     assert off[2] < 1e-3
+
+
+def test_the_reference_is_measured_once_however_many_designs_are_made(bank):
+    seen = []
+
+    class Counted(Volume):
+        def __call__(self, mesh):
+            seen.append(mesh.extents.round(9).tolist())
+            return super().__call__(mesh)
+
+    asked = {"reference": "box_6", "objective": Reduce("drag", by=0.1), "level": "alpha", "turns": 1}
+    study = Study(bank, **asked, measures={"air": Counted()}, measured={"drag": "air.drag"})
+    made = [*lampopt.sweep(study, {"width": [1.1, 1.2, 1.3]}, report=False, plugins=PLUGINS)]
+    start = run(bank, reference="box_6").design.mesh.extents.round(9).tolist()
+    assert len(made) == 3
+    assert seen.count(start) == 1
