@@ -9,7 +9,7 @@ import pytest
 
 import lampopt
 from lampopt import Maximise, Reduce, Study
-from lampopt.active import spread_out
+from lampopt.active import FARTHEST, spread_out
 from lampopt.errors import InputError, MeasureError, StudyError
 from lampopt.plugins import Plugins
 
@@ -117,8 +117,16 @@ def test_a_pursuit_that_was_stopped_goes_on(bank, tmp_path):
     assert len(before.seen) + len(after.seen) == alone.evaluations
 
 
+def test_one_proposal_goes_no_farther_than_a_part_of_the_reference(bank):
+    found = lampopt.active(study(bank, Tunnel(), objective=Reduce("flow.drag", by=0.5)), plugins=PLUGINS, budget=4)
+    start, *_, proposed = found.trials
+    assert proposed.predicted == pytest.approx((1 - FARTHEST) * start.value)
+
+
 def test_a_rejected_design_does_not_meet_the_target(bank):
-    found = lampopt.active(study(bank, Tunnel(), limits={"alpha": 0.1}), plugins=PLUGINS, budget=7)
+    asked = study(bank, Tunnel(), limits={"alpha": 0.1})
+    found = lampopt.active(asked, plugins=PLUGINS, tolerance=0.05)
+    assert abs(found.value - found.wanted) < 0.05 * found.trials[0].value
     assert not found.met
     assert not found.result.accepted
 

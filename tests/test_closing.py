@@ -2,7 +2,7 @@
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,12 @@ import pytest
 
 import lampopt
 from lampopt import Reduce, Study
+from lampopt.closing import Reading, _next
 from lampopt.errors import StudyError
+from lampopt.plane import Plane
 from lampopt.plugins import Plugins
+from lampopt.quantities import Quantity
+from lampopt.solve import Column
 from lampopt.testing import shapes
 from lampopt.types import Exemplars, Parameter
 
@@ -248,3 +252,23 @@ def test_the_reference_is_measured_once_however_many_designs_are_made(bank):
     start = run(bank, reference="box_6").design.mesh.extents.round(9).tolist()
     assert len(made) == 3
     assert seen.count(start) == 1
+
+
+def test_a_label_that_few_exemplars_have_is_corrected_all_the_same(bank):
+    labels = np.where(np.arange(7) < 2, bank.labels[:, 0], np.nan)[:, None]
+    few = small.bank(small.boxes(labels=labels), decoder="blunt", plugins=PLUGINS, measured=MEASURED)
+    every = Plugins.load([("small", small.Plugin()), ("offer", Offer())])
+    study = Study(few, reference="box_0", objective=Reduce("drag", by=-0.1), turns=1)
+    study = replace(study, measures={"air": Volume()}, measured={"drag": "air.drag"})
+    assert lampopt.run(study, plugins=every).provenance["turns"] in (0, 1)
+
+
+def test_one_turn_goes_half_a_range_at_most():
+    column = Column("drag", "", np.array([1.0, 3.0]))
+    reading = Reading(column, Quantity("air.drag", ""), 1.0, -9.0, 1.0)
+    plane = Plane(np.eye(2), np.ones_like, ((np.zeros(2), 2.5),))
+    asked = []
+    _next(lambda ask, instead: asked.append((ask, instead)), {"drag": -9.0}, {"drag": reading}, {"drag": plane})
+    ((ask, instead),) = asked
+    assert ask == {"drag": 1.5}
+    np.testing.assert_allclose(instead["drag"], plane.values)

@@ -2,8 +2,8 @@
 
 import json
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,12 @@ import pytest
 import lampopt
 from lampopt import Spec
 from lampopt.errors import BankError, InputError, MeasureError, SweepError
+from lampopt.partial import Partial
 from lampopt.workers import processes
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
-from lethal import Dies
+from lethal import Dear, Dies
 from test_closing import PLUGINS
 
 CALLS = []
@@ -32,23 +33,6 @@ class Air:
         if mesh.extents[0] > 2.85:
             raise MeasureError("too long for the tunnel")
         return np.array([mesh.volume, -mesh.volume, mesh.area])
-
-
-@dataclass(frozen=True)
-class Dear:
-    """Keeps what it has worked out."""
-
-    folder: str = ""
-    names, units = ("drag",), ("",)
-
-    def kept_in(self, folder):
-        return self if self.folder else replace(self, folder=str(folder))
-
-    def __call__(self, mesh):
-        place = Path(self.folder)
-        place.mkdir(parents=True, exist_ok=True)
-        (place / f"{mesh.volume:.9g}").touch()
-        return np.array([mesh.volume])
 
 
 @pytest.fixture(autouse=True)
@@ -131,6 +115,64 @@ def test_a_dear_measure_keeps_its_work_beside_the_file_and_in_the_run(tmp_path):
     told = Dear(str(tmp_path / "elsewhere"))
     lampopt.label(bank, told, store=tmp_path / "other.lamp", plugins=small.plugins())
     assert len([*(tmp_path / "elsewhere").iterdir()]) == len(bank)
+
+
+def test_a_dear_measure_keeps_its_work_where_others_make_the_designs(tmp_path):
+    study = lampopt.Study(small.bank(), measures={"air": Dear()})
+    with processes(2) as executor:
+        made = lampopt.sweep(
+            study,
+            {"length": [2.2, 2.4, 2.6]},
+            tmp_path / "run",
+            executor=executor,
+            report=False,
+            plugins=small.plugins(),
+        )
+        assert len([*made]) == 3
+    assert len([*(tmp_path / "run" / "measured" / "air").iterdir()]) == 3
+
+
+def test_a_file_that_another_process_has_finished_meanwhile_is_read(tmp_path, monkeypatch):
+    bank, store = small.bank(), tmp_path / "labelled.lamp"
+    lampopt.label(bank, Air(), ["drag"], store=tmp_path / "other.lamp", plugins=small.plugins())
+    CALLS.clear()
+    real = Partial.open
+
+    @contextmanager
+    def late(path, plan):
+        with real(path, plan) as parts:
+            (tmp_path / "other.lamp").rename(store)
+            yield parts
+
+    monkeypatch.setattr(Partial, "open", late)
+    assert len(lampopt.label(bank, Air(), ["drag"], store=store, plugins=small.plugins())) == len(bank)
+    assert not CALLS
+
+
+class Now(Executor):
+    """Does at once what it is given, and breaks the first."""
+
+    def __init__(self):
+        self.count = 0
+
+    def submit(self, work, *given):
+        future = Future()
+        self.count += 1
+        if self.count == 1:
+            future.set_exception(RuntimeError("broken"))
+        else:
+            future.set_result(work(*given))
+        return future
+
+
+def test_what_others_have_finished_is_kept_when_one_breaks(tmp_path):
+    bank, store = small.bank(), tmp_path / "labelled.lamp"
+    with pytest.raises(RuntimeError, match="broken"):
+        lampopt.label(bank, Air(), ["drag"], store=store, executor=Now(), plugins=small.plugins())
+    done = len(CALLS)
+    assert done >= 2
+    lampopt.label(bank, Air(), ["drag"], store=store, plugins=small.plugins())
+    assert len(CALLS) == len(bank)
 
 
 def test_what_cannot_be():

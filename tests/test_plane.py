@@ -65,6 +65,14 @@ def test_exemplars_without_a_label_have_no_say():
     np.testing.assert_allclose(plane(bank).slope, [spread, 0], atol=1e-9)
 
 
+def test_what_parameters_do_not_tell_has_no_plane_by_any_model():
+    noise = np.random.default_rng(3).normal(size=7)
+    few = labelled(lambda p: np.where(np.arange(len(p)) < 2, p[:, 0], np.nan))
+    for bank in (labelled(lambda p: noise), few):
+        for plugins in (None, Plugins.load()):
+            assert plane(bank, plugins=plugins) is None
+
+
 @settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_a_plane_goes_through_the_last_design_and_learns_of_those_before(seed):
