@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 
 from lampopt.types import Array
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 ROUGH = 3e-4  # of the length: 1.3 mm on a car; from there on drag at the coarse level notices
 SMOOTH = 1e-4  # of the length: what smoothing goes on to; less costs more shape than it takes off roughness
 TOO_ROUGH = 4e-3  # of the length: 18 mm on a car; nothing tells roughness from shape any more
 FINE = 0.05  # of the length: vertices with longer edges draw the shape, and are no roughness
 SHARE = 0.94  # of a random displacement's standard deviation is the median of what is measured
-SHRINK, GROW = 0.5, -0.53  # Taubin's pair: what both do together leaves long waves as they are
+SHRINK, GROW = 0.5, 0.53  # Taubin's pair: what both do together leaves long waves as they are
 ROUNDS = 20
 
 
@@ -25,9 +20,12 @@ def roughness(vertices: Array, faces: Array) -> float:
 
     The median over the area: edges and creases, which are few, do not count, nor do vertices with long edges.
     """
-    around, degree = _neighbours(len(vertices), faces)
-    away = vertices - (around @ vertices) / degree
-    away -= (around @ away) / degree  # what is left of a curved surface's own bend is of fourth order
+    from trimesh import Trimesh
+    from trimesh.smoothing import laplacian_calculation
+
+    around = laplacian_calculation(Trimesh(vertices, faces, process=False))
+    away = vertices - around @ vertices
+    away -= around @ away  # what is left of a curved surface's own bend is of fourth order
     normal = _normals(vertices, faces)
     area = np.linalg.norm(normal, axis=1)
     height = np.abs((away * normal).sum(axis=1)) / np.maximum(area, 1e-300)
@@ -44,24 +42,16 @@ def roughness(vertices: Array, faces: Array) -> float:
 
 def smoothed(vertices: Array, faces: Array) -> Array:
     """The vertices (V, 3) after as many rounds of Taubin's smoothing as it takes to be smooth, or all of them."""
-    around, degree = _neighbours(len(vertices), faces)
+    from trimesh import Trimesh
+    from trimesh.smoothing import filter_taubin, laplacian_calculation
+
+    mesh = Trimesh(vertices, faces, process=False)
+    around = laplacian_calculation(mesh)
     for _ in range(ROUNDS):
-        for step in (SHRINK, GROW):
-            vertices = vertices + step * ((around @ vertices) / degree - vertices)
-        if roughness(vertices, faces) <= SMOOTH:
+        filter_taubin(mesh, lamb=SHRINK, nu=GROW, iterations=2, laplacian_operator=around)  # type: ignore[no-untyped-call]
+        if roughness(mesh.vertices, faces) <= SMOOTH:
             break
-    return vertices
-
-
-def _neighbours(count: int, faces: Array) -> tuple[csr_array[Any], Array]:
-    """(V, V) which vertices are neighbours, and how many each has (V, 1)."""
-    from scipy.sparse import coo_array
-
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    one_way = coo_array((np.ones(len(ends)), tuple(ends.T)), (count, count)).tocsr()
-    around = one_way + one_way.T
-    around.data[:] = 1.0
-    return around, np.maximum(np.diff(around.indptr), 1)[:, None]
+    return np.array(mesh.vertices)
 
 
 def _normals(vertices: Array, faces: Array) -> Array:
