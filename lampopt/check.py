@@ -79,7 +79,7 @@ def _usable(limits: Mapping[str, float], known: frozenset[str], what: str, error
 
 def alpha_checks(posed: Posed, mix: Mix, limits: Limits) -> list[Check]:
     """What alpha alone tells: is it an answer, are targets and ranges met, how far is it from the centre."""
-    said = "" if mix.status == "exact" else mix.message
+    said = "" if mix.status == "exact" else mix.message  # told by what fails
     found = [
         Check("solved", float(mix.status != "failed"), "=", 1.0, "", "alpha", said if mix.status == "failed" else ""),
         _met("target", mix.residual, limits, said),
@@ -98,7 +98,8 @@ def alpha_checks(posed: Posed, mix: Mix, limits: Limits) -> list[Check]:
 
 def _met(name: str, off: Array, limits: Limits, note: str) -> Check:
     """The worst of what is `off` [half of the bank's range]."""
-    return Check(name, float(np.abs(off).max(initial=0.0)), "<=", limits[name], "half range", "alpha", note)
+    worst, limit = float(np.abs(off).max(initial=0.0)), limits[name]
+    return Check(name, worst, "<=", limit, "half range", "alpha", "" if worst <= limit else note)
 
 
 def mismatches(

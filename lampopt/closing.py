@@ -81,7 +81,12 @@ def measurable(study: Study, bank: Bank, asked: Iterable[str]) -> dict[str, str]
 
 
 def closed(
-    study: Study, quantities: Quantities, target: Mapping[str, float], solve: Solve, start: tuple[Posed, Mix]
+    study: Study,
+    quantities: Quantities,
+    target: Mapping[str, float],
+    solve: Solve,
+    start: tuple[Posed, Mix],
+    said: Callable[[str], None] = lambda message: None,
 ) -> Closed:
     """The best of the study's turns.
 
@@ -93,6 +98,8 @@ def closed(
         Makes the mix of what is asked instead; (N,) what columns are taken to be over the exemplars besides.
     start
         What it makes of `target` itself.
+    said
+        Told how far off each turn is.
 
     Raises
     ------
@@ -122,6 +129,7 @@ def closed(
         rank = (mix.status in ("infeasible", "failed"), worst)  # what nothing meets is no better for being measured
         if best is None or rank < best[0]:
             best = rank, told
+        said(f"correction {turn} of {study.turns}: off by {worst:.3g} half ranges")
         log.debug("turn %d: off by %.4g half ranges", turn, worst)
         if turn == study.turns or worst <= CLOSE or worst == np.inf:
             break

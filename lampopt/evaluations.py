@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,17 +36,19 @@ class Evaluation:
 
 @dataclass(eq=False)
 class Memory:
-    """What the search for one design knows, and where it notes what it learns: `file`, if there is one."""
+    """What the search for one design knows, where it notes what it learns (`file`, if any), and whom it tells."""
 
     design: str = ""
     file: Path | None = None
+    said: Callable[[str], None] = lambda message: None
+    _count: int = 0
     _known: dict[str, Known] = field(default_factory=dict)
     _since: float = field(default_factory=time.perf_counter)
 
     @classmethod
-    def at(cls, folder: Path, design: str) -> Memory:
+    def at(cls, folder: Path, design: str, said: Callable[[str], None] = lambda message: None) -> Memory:
         """That of a search in a run folder."""
-        found = cls(design, folder / FILE)
+        found = cls(design, folder / FILE, said)
         for one in evaluations(folder):
             if one.design == design:
                 found.known(one.name)[one.alpha.tobytes()] = one.value, one.gradient
@@ -66,6 +68,8 @@ class Memory:
         """
         now = time.perf_counter()
         seconds, self._since = now - self._since, now
+        self._count += 1
+        self.said(f"evaluation {self._count}: {name} {value:.6g}")
         if self.file is None:
             return
         row = [self.design, name, _text(alpha), value, None if gradient is None else _text(gradient), seconds]

@@ -91,14 +91,19 @@ def design(
 
 
 def run(
-    study: Study, folder: str | Path | None = None, *, report: bool = True, plugins: Plugins | None = None
+    study: Study,
+    folder: str | Path | None = None,
+    *,
+    report: bool = True,
+    progress: Progress | None = None,
+    plugins: Plugins | None = None,
 ) -> Result:
     """The design that `study` asks for; with `folder` recorded there, or read back if it is there already.
 
-    `report` says whether `report.html` is written there too.
+    `report` says whether `report.html` is written there too; `progress` is told of each evaluation and correction.
     """
     _expect_study(study)
-    (result,) = _results(Task.of(study, plugins), [{}], folder, None, None, report)
+    (result,) = _results(Task.of(study, plugins), [{}], folder, progress, None, report)
     return result
 
 
@@ -278,7 +283,12 @@ def _yield(
             place.write_study(replace(task.study, bank=name).to_toml(), task.identity, keys)
         elif executor is not None and task.bank.path is not None and _holds(task.bank.path, task.bank):
             file = task.bank.path
-        made = judged(task, asked, place, executor, file, ahead)
+        number = 0
+
+        def said(message: str) -> None:
+            tell(number / len(asked), f"design {number + 1} of {len(asked)}, {message}")
+
+        made = judged(task, asked, place, executor, file, ahead, said)
         with _said_when_stopped(task, asked, place), closing(made):
             for number in range(len(asked)):
                 tell(number / len(asked), f"design {number + 1} of {len(asked)}")

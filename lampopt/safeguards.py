@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from lampopt.types import Array, Bank, Term
 
 SHARE = 4  # the search sees one probe in so many
 NAMES = ("alpha", "mismatch", "jacobian")  # what can be kept within its limit
-STEP = 1e-4  # of alpha, for differences where the decoder has no adjoint
+STEP = 1e-3  # of alpha, for differences where the decoder has no adjoint: weights have single precision
 REACH = 1e-3  # of a template's size, for the derivatives of its motion
 POINTS = 2048  # of a template, where its motion is looked at
 SHARP = 200.0  # of the smooth least value: it is below the least one by at most log(POINTS) / SHARP
@@ -134,7 +135,9 @@ def safeguard(
         If it cannot be one, or means nothing for this decoder.
     """
     if name == "alpha":
-        return shaped(f"safe {name}", Distance(name, centre), offset=limit**2, factor=1 / max(limit, 1e-9) ** 2)
+        return shaped(
+            f"safe {name}", Distance(name, centre), offset=limit**2, factor=1 / max(limit, 1e-9) ** 2, tell=sqrt
+        )
     if name == "mismatch":
         term = Mismatch(name, bank, decoder, whole, active)
         return shaped(f"safe {name}", term, offset=limit, factor=1 / max(limit, 1e-9))

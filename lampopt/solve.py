@@ -14,9 +14,11 @@ import numpy as np
 from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.protocols import Solver
 from lampopt.reading import brief
-from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem
+from lampopt.terms import Shaped
+from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem, called
 
 MET = "every target is met"
+ALIKE = 1e-3  # of what gives alone and of what all give: not told twice
 GIVES = 1e-6  # what gives less [normalised] is not told to give
 
 
@@ -284,8 +286,10 @@ def explain(posed: Posed, mix: Mix) -> str:
     """The status in plain words: for a conflict, what would agree, and what has to give least alone."""
     if not mix.conflicts:
         return mix.message
-    told = [_nearest(posed, conflict) for conflict in mix.conflicts]
-    return "; ".join([mix.message, *(text for text in told if text)])
+    told = [(conflict.names, text) for conflict in mix.conflicts if (text := _nearest(posed, conflict))]
+    if len(told) == 1:
+        return f"{mix.message}; {told[0][1]}"
+    return "; ".join([mix.message, *(f"({i}) {' + '.join(n)}: {text}" for i, (n, text) in enumerate(told, 1))])
 
 
 def _nearest(posed: Posed, conflict: Conflict) -> str:
@@ -293,6 +297,8 @@ def _nearest(posed: Posed, conflict: Conflict) -> str:
     said = [f"{', '.join(_moved(posed, name, amount) for name, amount in parts)} would agree"] if parts else []
     if (culprit := conflict.culprit) is not None and (len(conflict.names) > 1 or not parts):
         alone = float(conflict.alone[conflict.names.index(culprit)])
+        if [name for name, _ in parts] == [culprit] and np.isclose(parts[0][1], alone, rtol=ALIKE):
+            return f"{_moved(posed, culprit, alone)} would be enough"
         said.append(f"{_moved(posed, culprit, alone)} alone would be enough")
     return "; ".join(said)
 
@@ -309,6 +315,10 @@ def _moved(posed: Posed, name: str, amount: float) -> str:
         return _change(posed.limits[i], f"{name} {end}", limit, amount)
     if name == BOUNDS and amount:
         return f"{name} wider by {amount:.3g}"
+    terms = [term for term in (*p.constraints, *p.equalities, *p.objectives) if called(term, "") == name]
+    if amount and terms and isinstance(terms[0], Shaped):
+        before, after = terms[0].limits(amount)
+        return f"{name} {before:.6g} → {after:.6g} {terms[0].unit}".rstrip()
     return f"{name} by {abs(amount):.3g} half ranges" if amount and name not in p.range_names else name
 
 

@@ -167,8 +167,14 @@ class Task:
         posed = self.posed(target, memory)
         return posed, solve(posed, self.solver)
 
-    def made(self, target: Mapping[str, float], posed: Posed, mix: Mix) -> Result:
-        """One design: its ask corrected as often as the study says, then judged."""
+    def made(
+        self,
+        target: Mapping[str, float],
+        posed: Posed,
+        mix: Mix,
+        said: Callable[[str], None] = lambda message: None,
+    ) -> Result:
+        """One design: its ask corrected as often as the study says, then judged; `said` is told of each correction."""
         measured = self.study.level == "mesh" and any(told_without_turns(self.study, name) for name in target)
         if not (self.study.turns or measured):
             return self.judge(target, posed, mix)
@@ -177,7 +183,7 @@ class Task:
             posed = self.posed(ask, instead=instead)
             return posed, solve(posed, self.solver)
 
-        found = closed(self.study, self.wishes.quantities, target, again, (posed, mix))
+        found = closed(self.study, self.wishes.quantities, target, again, (posed, mix), said)
         return self.judge(target, found.posed, found.mix, found)
 
     def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix, turned: Closed | None = None) -> Result:

@@ -116,7 +116,7 @@ class MeasuredValue:
 
 @dataclass(frozen=True, eq=False)
 class Shaped:
-    """weight·(factor·(term − offset))^power, with power 1 or 2."""
+    """weight·(factor·(term − offset))^power, with power 1 or 2; people are told `tell` of the term's values [unit]."""
 
     name: str
     term: Term
@@ -124,6 +124,12 @@ class Shaped:
     factor: float
     power: int = 1
     weight: float = 1.0
+    unit: str = ""
+    tell: Callable[[float], float] = float
+
+    def limits(self, amount: float) -> tuple[float, float]:
+        """What is told of the limit, and of the one that gives way by `amount`."""
+        return self.tell(self.offset), self.tell(self.offset + amount / self.factor)
 
     @property
     def rough(self) -> bool:
@@ -154,10 +160,20 @@ class SymbolicShaped(Shaped):
         return self.weight * (self.factor * (symbolic(alpha) - self.offset)) ** self.power
 
 
-def shaped(name: str, term: Term, *, offset: float, factor: float, power: int = 1, weight: float = 1.0) -> Term:
+def shaped(
+    name: str,
+    term: Term,
+    *,
+    offset: float,
+    factor: float,
+    power: int = 1,
+    weight: float = 1.0,
+    unit: str = "",
+    tell: Callable[[float], float] = float,
+) -> Term:
     """`Shaped`, as an expression too where `term` is one."""
     cls = SymbolicShaped if isinstance(term, Expressible) else Shaped
-    return cls(name, term, offset, factor, power, weight)
+    return cls(name, term, offset, factor, power, weight, unit, tell)
 
 
 @dataclass(eq=False)

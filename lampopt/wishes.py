@@ -164,14 +164,22 @@ class Wishes:
                 name = goal.quantity.name
                 power = 1 if goal.hard else 2
                 weight = 1.0 if goal.hard else goal.weight
-                made = shaped(name, term, offset=goal.low, factor=2 / goal.spread, power=power, weight=weight)
+                made = shaped(
+                    name,
+                    term,
+                    offset=goal.low,
+                    factor=2 / goal.spread,
+                    power=power,
+                    weight=weight,
+                    unit=goal.quantity.unit,
+                )
                 (equalities if goal.hard else objectives).append(made)
                 continue
-            name = f"{goal.quantity.name} (range)"
-            if np.isfinite(goal.high):
-                constraints.append(shaped(name, term, offset=goal.high, factor=2 / goal.spread))
-            if np.isfinite(goal.low):
-                constraints.append(shaped(name, term, offset=goal.low, factor=-2 / goal.spread))
+            ends = [(end, sign) for end, sign in ((goal.high, 2), (goal.low, -2)) if np.isfinite(end)]
+            for end, sign in ends:
+                which = "range" if len(ends) == 1 else "range, high end" if sign > 0 else "range, low end"
+                name, unit = f"{goal.quantity.name} ({which})", goal.quantity.unit
+                constraints.append(shaped(name, term, offset=end, factor=sign / goal.spread, unit=unit))
         objective = self.study.objective
         if isinstance(objective, Minimise):
             quantity = self.quantities[objective.name]

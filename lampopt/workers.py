@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 import uuid
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -48,6 +48,7 @@ def judged(
     executor: Executor | None = None,
     file: Path | None = None,
     ahead: int | None = None,
+    said: Callable[[str], None] = lambda message: None,
 ) -> Generator[Result, None, None]:
     """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
 
@@ -65,6 +66,8 @@ def judged(
         The bank's, for other processes.
     ahead
         How many designs may be under way or done and not taken; by default what suits the executor.
+    said
+        Told what goes on in the making of one design; executors tell nothing.
 
     Raises
     ------
@@ -81,10 +84,11 @@ def judged(
         if result is None:
             began = time.perf_counter()
             if task.solves_long(target):
-                found = task.solved(target, None if place is None else Memory.at(place.folder, key))
+                memory = Memory(said=said) if place is None else Memory.at(place.folder, key, said)
+                found = task.solved(target, memory)
             else:
                 found = mixes.at(number)
-            result = task.made(target, *found)
+            result = task.made(target, *found, said)
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
 

@@ -85,6 +85,15 @@ def test_what_is_measured_hits_the_target(bank):
     assert off[4] < 1e-4
 
 
+def test_who_waits_is_told_of_every_correction(bank):
+    told = []
+    asked = Study(bank, targets={"length": 3.2, "width": 1.5}, turns=2)
+    lampopt.run(asked, plugins=PLUGINS, progress=lambda done, message="": told.append(message))
+    begins = [f"design 1 of 1, correction {turn} of 2: off by " for turn in (0, 1, 2)]
+    off = [message for message in told if "correction" in message]
+    assert [message[: len(begin)] for message, begin in zip(off, begins, strict=True)] == begins
+
+
 def test_the_target_stays_what_was_asked_and_the_evidence_is_measured(bank):
     open_loop = run(bank, targets={"length": 3.2})
     assert not open_loop.check("drift.length").passed

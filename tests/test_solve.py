@@ -198,6 +198,17 @@ def test_explain_takes_any_solvers_conflicts():
     assert explain(posed, mix) == "cannot; length 2.5 → 2.75 m would agree"
 
 
+def test_several_conflicts_are_told_one_by_one():
+    posed = pose(bank(), {"width": 1700.0, "length": 2.5})
+    first = Conflict(("length",), np.array([0.5]), np.array([0.5]))
+    second = Conflict(("length", "width"), np.array([0.1, 0.2]))
+    mix = Mix(np.full(6, 1 / 6), np.zeros(2), "infeasible", "cannot", (first, second))
+    assert explain(posed, mix) == (
+        "cannot; (1) length: length 2.5 → 2.75 m would agree; "
+        "(2) length + width: length 2.5 → 2.55 m, width 1700 → 1760 mm would agree"
+    )
+
+
 def test_a_conflict_may_name_a_range():
     posed = pose(bank(), {"width": 1700.0, "length": 2.5}, ranges={"drag": (0.3, 0.4)})
     clash = Conflict(("length", "drag (range)"), np.array([0.5, 0.1]))

@@ -190,6 +190,13 @@ def test_a_range_on_a_models_value(bank):
     assert not clash.check("range.aero.lift").passed
 
 
+def test_which_end_of_a_models_range_is_in_the_way_is_told(bank):
+    clash = run(bank, targets={"length": 2.0, "width": 1.0}, hard=("length", "width"),
+                ranges={"aero.lift": (3.2, 4.0)}, models={"aero": Drag()})  # fmt: skip
+    assert clash.design.mix.message.endswith("; aero.lift (range, low end) 3.2 → 2 would be enough")
+    assert clash.check("solved").note == ""
+
+
 def test_one_sided_ranges_and_sums(bank):
     result = run(bank, targets={"length": 3.0, "width": 1.4}, weights={"length": 1e4},
                  linear={"sum": Linear({"length": 1, "width": 1}, high=4.0)})  # fmt: skip
@@ -263,6 +270,15 @@ def test_a_measures_value_is_hit_by_gradients(bank):
     assert result.check("target.volume").value < 1e-3
     assert result.check("own.volume").value == pytest.approx(3.0, abs=1e-3)
     assert result.accepted
+
+
+def test_who_waits_is_told_of_every_evaluation(bank):
+    told = []
+    asked = Study(bank, targets={"own.volume": 3.0}, measures={"own": toys.Volume()}, solver="casadi")
+    lampopt.run(asked, plugins=PLUGINS, progress=lambda done, message="": told.append(message))
+    evaluations = [message for message in told if "evaluation" in message]
+    assert evaluations[0].startswith("design 1 of 1, evaluation 1: own.volume ")
+    assert float(evaluations[-1].split()[-1]) == pytest.approx(3.0, abs=1e-2)
 
 
 def test_a_measure_without_gradient_is_refused_by_name(bank):
@@ -364,6 +380,15 @@ def test_safety_keeps_the_solver_from_what_would_be_rejected(bank):
     assert near.check("alpha").value == pytest.approx(1.0, abs=1e-5)
     assert near.design.mix.status == "infeasible"
     assert "safe alpha" in near.design.mix.conflicts[0].names
+
+
+def test_what_safety_would_have_to_give_is_told_as_its_check_tells_it(bank):
+    asked = {"length": 4.6, "width": 1.5}
+    result = run(bank, targets=asked, hard=tuple(asked), limits={"alpha": 0.5}, safe=("alpha",))
+    rows = np.vstack([np.ones(7), bank.parameters[:, :2].T])
+    least = np.linalg.norm(np.linalg.lstsq(rows, [1.0, 4.6, 1.5])[0] - 1 / 7)
+    assert f"safe alpha 0.5 → {least:.4g}" in result.design.mix.message
+    assert "half ranges" not in result.design.mix.message
 
 
 def test_safety_holds_the_mismatch_and_is_judged_elsewhere():

@@ -119,8 +119,8 @@ def make(
             raise InputError(f"--out {out}: expected a file ending in .{', .'.join(FORMATS)} in a folder that exists")
         can_be_written("--out", out)
     opened = study.opened()
-    with progress_bar("making the design"):
-        result = run_study(replace(study, bank=opened), plugins=plugins)
+    with progress_bar("making the design") as progress:
+        result = run_study(replace(study, bank=opened), progress=progress, plugins=plugins)
         mesh = result.design.mesh if out is not None else None
     written = out is not None and mesh is not None
     if out is not None and mesh is not None:
@@ -147,8 +147,8 @@ def run(study_file: Path, folder: Path | None, report: bool) -> Answer:
     """
     plugins = Plugins.load().report()
     study, opened, folder = _opened(study_file, folder)
-    with progress_bar(f"running {study_file.name}"):
-        result = run_study(study, folder, report=report, plugins=plugins)
+    with progress_bar(f"running {study_file.name}") as progress:
+        result = run_study(study, folder, report=report, progress=progress, plugins=plugins)
     document = {"folder": str(folder), **passport(result, opened)}
     shown = [*_shown(result, opened), f"recorded in {folder}"]
     return Answer(document, shown, DONE if result.accepted else REJECTED)

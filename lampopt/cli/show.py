@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from lampopt.types import Bank, Check, Result
+from lampopt.types import Bank, Check, Parameter, Result
 
 if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
 GOOD, BAD = "green", "bold red"
+ROUNDING = 1e-12  # of a parameter's largest value: what is less of it is shown as 0
 
 
 def plain(value: object) -> Text:
@@ -76,11 +77,17 @@ def predicted(result: Result, bank: Bank) -> Table:
     """What the design's parameters should be, beside what was asked and what the bank spans."""
     asked = result.design.target
     rows = [
-        (q.name, number(asked.get(q.name)), number(float(value)), q.unit, span(q.low, q.high))
+        (q.name, number(asked.get(q.name)), number(_unrounded(float(value), q)), q.unit, span(q.low, q.high))
         for q, value in zip(bank.space, result.design.predicted, strict=True)
     ]
     columns = ("parameter", "asked", "predicted", "unit", "in the bank")
     return table("parameters", columns, rows, right=("asked", "predicted"))
+
+
+def _unrounded(value: float, parameter: Parameter) -> float:
+    """0 where a value is what rounding leaves of it."""
+    size = max(abs(end) for end in (parameter.low or 0.0, parameter.high or 0.0))
+    return 0.0 if abs(value) <= ROUNDING * size else value
 
 
 def span(low: float | None, high: float | None) -> str:

@@ -73,15 +73,16 @@ def _refuse(problem: Problem) -> None:
             ("ranges", len(problem.range_names)),
             ("bounds on alpha", problem.alpha_low is not None or problem.alpha_high is not None),
             ("norm=1", problem.norm != 2),
-            ("objectives", len(problem.objectives)),
-            ("constraints", len(problem.constraints)),
-            ("equalities", len(problem.equalities)),
+            ("objectives (least or most of something, targets of models and measures)", len(problem.objectives)),
+            ("constraints (safe, ranges of models and measures)", len(problem.constraints)),
+            ("equalities (hard targets of models and measures)", len(problem.equalities)),
         )
         if asked
     ]
     if lacking:
         raise SolveError(
-            f"solver 'kkt' is not able to take {', '.join(lacking)}: leave that out, or choose a solver that is able to"
+            f"solver 'kkt' is not able to take {', '.join(lacking)}: leave that out, or choose another "
+            "solver, such as 'casadi', or 'nlopt' where meshes are measured"
         )
 
 
