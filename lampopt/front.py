@@ -14,7 +14,7 @@ import numpy as np
 from lampopt.compromise import MOST, Asked, numbers, ridges_of, whole_number
 from lampopt.errors import StudyError
 from lampopt.goals import Reduce
-from lampopt.pareto import knee, pareto
+from lampopt.pareto import bends, knee, pareto
 from lampopt.plugins import Plugins
 from lampopt.protocols import Progress
 from lampopt.study import Study
@@ -109,8 +109,9 @@ class Front:
     status
         (B,) as in `Mix`.
     knee
-        The number of the mix farthest from the chord between the ends of the front, both axes normalised by these. A
-        straight front, as that of one target is, has none: then it is any.
+        The number of the mix farthest from the chord between the ends of the front, both axes normalised by these.
+    bends
+        Whether there is such a knee: a straight front, as that of one target is, has none, and `knee` is any.
     reduction
         What lowering the objective's label costs, where fractions were given.
     """
@@ -126,6 +127,7 @@ class Front:
     reached: Array
     status: tuple[Status, ...]
     knee: int
+    bends: bool
     reduction: Reduction | None
     _asked: Asked = field(repr=False)
 
@@ -160,7 +162,7 @@ class Front:
         more = self.reduction
         beside = None if more is None else (more.distance, more.value, more.error, more.efficient)
         label = "" if more is None else f"{more.name} [{more.unit}]" if more.unit else more.name
-        return picture(self.distance, self.error, self.knee, beside, label)
+        return picture(self.distance, self.error, self.knee if self.bends else None, beside, label)
 
 
 def front(
@@ -224,6 +226,7 @@ def front(
         reached=reached,
         status=batch.status,
         knee=int(at[knee(points)]),
+        bends=bends(points),
         reduction=_reduction(task, fractions, given, tell) if fractions else None,
         _asked=asked,
     )

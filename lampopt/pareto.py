@@ -8,6 +8,7 @@ import numpy.typing as npt
 from lampopt.errors import InputError
 from lampopt.types import Array
 
+BENT = 1e-6  # what is less below the chord may be what a solver's rounding leaves of a straight front
 STRAIGHT = 1e-12  # a front that keeps so near to its chord [its length is √2] does not bend
 
 
@@ -47,6 +48,22 @@ def knee(points: npt.ArrayLike) -> int:
     InputError
         If it is no table of two columns, or no row is finite.
     """
+    return _bend(points)[0]
+
+
+def bends(points: npt.ArrayLike) -> bool:
+    """Whether the front of `points` (B, 2) has a knee that more than rounding makes.
+
+    Raises
+    ------
+    InputError
+        As `knee`.
+    """
+    return _bend(points)[1] > BENT
+
+
+def _bend(points: npt.ArrayLike) -> tuple[int, float]:
+    """The knee, and how far below the chord it lies in the first column, both axes scaled to the front's ends."""
     rows = _table(points)
     if rows.shape[1] != 2:
         raise InputError(f"knee: expected points (B, 2), got shape {rows.shape}")
@@ -59,10 +76,12 @@ def knee(points: npt.ArrayLike) -> int:
     ends = ends / np.maximum(np.abs(ends).max(0), np.finfo(float).tiny)  # no difference overflows
     reach = np.ptp(ends, axis=0)
     if not reach.all():
-        return int(front[0])
+        return int(front[0]), 0.0
     x, y = ((ends - ends.min(0)) / reach).T
     below = 1 - x - y
-    return int(front[int((below > below.max() - STRAIGHT).argmax())] if below.max() > STRAIGHT else front[0])
+    if below.max() <= STRAIGHT:
+        return int(front[0]), 0.0
+    return int(front[int((below > below.max() - STRAIGHT).argmax())]), float(below.max())
 
 
 def _table(points: npt.ArrayLike) -> Array:

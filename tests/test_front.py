@@ -217,10 +217,21 @@ def test_the_knee_is_where_the_front_is_parallel_to_its_chord(boxes):
         seen = found(study(boxes, **changes), ridges=2000)
         chord = seen.error[-1] / seen.distance[0]
         i = seen.knee
+        assert seen.bends
         assert 0 < i < 1999
         assert seen.ridge[i] == pytest.approx(seen.error[i] / seen.distance[i] * chord, rel=0.02)
         gap = 1 - seen.error / seen.error[-1] - seen.distance / seen.distance[0]
         assert gap[i] >= gap.max() - 1e-6
+
+
+def test_a_straight_front_has_no_knee(boxes):
+    """One target: error and distance shrink in proportion."""
+    for solver in ("kkt", "casadi"):
+        seen = found(study(boxes, targets={"length": 2.9}, solver=solver), ridges=50)
+        assert seen.error / seen.error[-1] + seen.distance / seen.distance[0] == pytest.approx(1, abs=1e-6)
+        assert not seen.bends
+        assert not discs(seen.svg(), "knee")
+        assert discs(seen.svg(), "front")
 
 
 def test_the_knee_of_a_quarter_circle_is_in_its_middle():

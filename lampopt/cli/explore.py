@@ -29,7 +29,11 @@ NOISE = 1e-9  # part of a range, or of the largest coefficient, that is shown as
 @click.command(cls=Command)
 @click.argument("study_file", metavar="STUDY", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
-    "--level", type=click.Choice(LEVELS), default="field", show_default=True, help="Up to where neighbours must pass."
+    "--level",
+    type=click.Choice(LEVELS),
+    default="field",
+    show_default=True,
+    help="Up to where neighbours must pass; mesh makes one of each that passes the rest, which takes far longer.",
 )
 def explore(study_file: Path, level: Needs) -> Answer:
     """Tell what surrounds the design that a study file asks for.

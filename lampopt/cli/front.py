@@ -100,6 +100,7 @@ def _document(found: Front, judged: dict[int, Result], level: Needs, bank: Bank,
     return {
         "target": dict(found.target),
         "knee": found.knee,
+        "bends": found.bends,
         "points": points,
         "level": level,
         "judged": [
@@ -142,7 +143,7 @@ def _shown(found: Front, judged: dict[int, Result], level: Needs) -> list[Render
                 *(_size(v) for v in sizes),
                 *(f"{v:.5g}" for v in found.reached[i, : len(names)]),
                 _verdict(result),
-                "knee" if i == found.knee else "",
+                "knee" if found.bends and i == found.knee else "",
             )
         )
     title = f"accuracy against reliability, {len(rows)} of {len(found)} mixes; errors in half ranges of the bank"

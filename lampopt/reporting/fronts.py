@@ -16,14 +16,19 @@ STYLE = """text{font:12px system-ui,sans-serif;fill:#5d6b7a}.label{fill:#1d2733}
 
 
 def picture(
-    distance: Array, error: Array, knee: int, beside: tuple[Array, Array, Array, Array] | None = None, label: str = ""
+    distance: Array,
+    error: Array,
+    knee: int | None,
+    beside: tuple[Array, Array, Array, Array] | None = None,
+    label: str = "",
 ) -> str:
-    """A front of distance and error (B,); `beside` distance, value, error and efficiency where a label is lowered.
+    """A front of distance and error (B,), and its knee if it has one; `beside` distance, value, error and efficiency where a label is lowered.
 
     What is not known is left out.
     """
     known = np.isfinite(error)
-    charts = [_front(distance[known], error[known], (float(distance[knee]), float(error[knee])))]
+    at = None if knee is None else (float(distance[knee]), float(error[knee]))
+    charts = [_front(distance[known], error[known], at)]
     if beside is not None:
         told = np.isfinite(beside[1]) & np.isfinite(beside[2])
         far, value, missed, efficient = (column[told] for column in beside)
@@ -44,7 +49,7 @@ def _axes(distance: Array, low: float, high: float, label: str, title: str) -> A
     return Axes((0.0, far), (low, high), "‖alpha − centre‖", label, title, width=WIDTH, height=HEIGHT)
 
 
-def _front(distance: Array, error: Array, knee: tuple[float, float]) -> str:
+def _front(distance: Array, error: Array, knee: tuple[float, float] | None) -> str:
     high = ROOM * float(error.max(initial=0.0)) or 1.0
     chart = _axes(distance, 0.0, high, "error [half ranges]", "accuracy against reliability")
     if not len(distance):
@@ -53,8 +58,10 @@ def _front(distance: Array, error: Array, knee: tuple[float, float]) -> str:
     chart.line(ends[0], ends[1], "agree")
     line = " ".join(f"{chart.x(float(x)):.1f},{chart.y(float(y)):.1f}" for x, y in zip(distance, error, strict=True))
     chart.parts.append(f'<polyline class="front" points="{line}"/>')
-    chart.parts.append(_disc(chart, *knee, 5.0, "knee", f"knee: distance {number(knee[0])}, error {number(knee[1])}"))
-    chart.note("knee", chart.x(knee[0]) + 9, chart.y(knee[1]) - 7)
+    if knee is not None:
+        said = f"knee: distance {number(knee[0])}, error {number(knee[1])}"
+        chart.parts.append(_disc(chart, *knee, 5.0, "knee", said))
+        chart.note("knee", chart.x(knee[0]) + 9, chart.y(knee[1]) - 7)
     return chart.svg()
 
 
