@@ -23,6 +23,7 @@ from lampopt_openfoam.drag import OpenFoamDrag, _mean
 from lampopt_openfoam.installed import _told, installed
 from lampopt_openfoam.outcomes import OUTCOMES, FlowError
 from lampopt_openfoam.pairs import change, paired
+from lampopt_openfoam.placements import on_placements
 from lampopt_openfoam.refinement import richardson
 from lampopt_openfoam.settled import first_settled, judged, standard_error
 from lampopt_openfoam.smooth import ROUGH, roughness, smoothed
@@ -521,12 +522,12 @@ def test_value_and_interval_without_a_folder_are_one_flow(tmp_path, fakes):
 def test_results_are_kept_by_every_setting_that_matters(option, tmp_path, fakes):
     other = {
         "level": "medium", "placements": 2, "first": 1, "reynolds": 5e6, "wind": "-x", "half": "no", "ground": "fixed",
-        "clearance": 0.01, "command": "env", "timeout_s": 50.0,
+        "clearance": 0.01, "command": "env", "timeout_s": 50.0, "workers": 2,
     }  # fmt: skip
     calls = fakes()
     measure(tmp_path)(car())
     measure(tmp_path, **{option: other[option]})(car())
-    same = option in ("command", "timeout_s")
+    same = option in ("command", "timeout_s", "workers")
     assert calls.read_text().split().count("blockMesh") == (1 if same else 2)
 
 
@@ -840,6 +841,42 @@ def test_a_placement_without_a_grid_of_one_design_serves_neither(tmp_path, fakes
     with pytest.raises(FlowError, match="no grid") as caught:
         measure(tmp_path, placements=2, clearance=0.0).compared(car(), tall)
     assert caught.value.outcome == "bad-grid"
+
+
+def test_workers_solve_at_the_same_time_and_change_nothing(tmp_path, fakes):
+    meet = f"""case $PWD in *alone*) ;; *)
+    n=0; touch {tmp_path}/here.$$
+    while [ $(ls {tmp_path}/here.* | wc -l) -lt 2 ] && [ $n -lt 200 ]; do sleep 0.05; n=$((n + 1)); done
+    [ $(ls {tmp_path}/here.* | wc -l) -ge 2 ] || exit 1;; esac
+    """  # the mesher of one placement waits for that of the other
+    seen = "0.3 + 0.00001 * '$(grep -o 'xMin[^;]*' system/settings | tr -dc 0-9 | tail -c 3)' + 0.001 * sin(i / 3)"
+    fakes(snappyHexMesh=meet, simpleFoam=SOLVE.replace("VALUE", seen))
+    together = measure(tmp_path, placements=2, workers=2).solve(car())
+    alone = measure(tmp_path, placements=2, folder=str(tmp_path / "alone")).solve(car())
+    assert [(p.number, p.drag) for p in together.placed] == [(p.number, p.drag) for p in alone.placed]
+    assert together.placed[0].drag != together.placed[1].drag
+
+
+def test_what_others_solve_is_ended_when_one_fails(tmp_path, fakes):
+    fakes(snappyHexMesh=f"mkdir {tmp_path}/first 2>/dev/null && {{ sleep 0.5; exit 1; }}; sleep 30")
+    began = time.monotonic()
+    assert outcome(measure(tmp_path, placements=4, workers=2)).outcome in ("failed", "killed")
+    assert time.monotonic() - began < 15
+    assert (tmp_path / "calls").read_text().split().count("snappyHexMesh") == 2  # the others were never begun
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_placements_without_a_grid_are_made_up_for_whoever_solves(workers):
+    def solve(number, stop):
+        if number in (1, 4):
+            raise FlowError("no grid", "bad-grid")
+        return number
+
+    done, bad = on_placements(solve, 0, 4, workers)
+    assert done == [0, 2, 3, 5]
+    assert len(bad) == 2
+    with pytest.raises(FlowError, match="no grid"):
+        on_placements(lambda number, stop: solve(1, stop), 0, 4, workers)
 
 
 def test_a_study_goes_on_past_a_level_that_fails(tmp_path, fakes):

@@ -22,7 +22,9 @@ def picture(
     beside: tuple[Array, Array, Array, Array] | None = None,
     label: str = "",
 ) -> str:
-    """A front of distance and error (B,), and its knee if it has one; `beside` distance, value, error and efficiency where a label is lowered.
+    """A front of distance and error (B,), and its knee if it has one.
+
+    `beside` are distance, value, error and efficiency where a label is lowered.
 
     What is not known is left out.
     """

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -25,6 +26,7 @@ from .grid import CELL, Grid, Ground, Level
 from .installed import Installed, installed, words
 from .kept import Placed
 from .outcomes import LASTING, FlowError
+from .placements import on_placements
 from .surface import Half, Surface, axes, cleaned
 
 if TYPE_CHECKING:
@@ -115,6 +117,8 @@ class OpenFoamDrag:
         the case's.
     timeout_s
         For each placement.
+    workers
+        Placements that are solved at a time, each by one core.
     """
 
     level: str = "coarse"
@@ -129,6 +133,7 @@ class OpenFoamDrag:
     folder: str = ""
     command: str = ""
     timeout_s: float = 3600.0
+    workers: int = 1
 
     names = ("drag", "lift", "drag_error", "lift_error", "frontal_area", "cells")
     units = ("", "", "", "", "L^2", "")
@@ -138,7 +143,7 @@ class OpenFoamDrag:
             if getattr(self, option) not in [*known]:
                 raise InputError(f"{option}: expected one of {', '.join(known)}, got {getattr(self, option)!r:.80}")
         axes(self.wind, self.up)
-        for option, least in (("placements", 1), ("first", 0)):
+        for option, least in (("placements", 1), ("first", 0), ("workers", 1)):
             value = getattr(self, option)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{option}: expected a whole number, {least} or more, got {value!r:.80}")
@@ -281,17 +286,11 @@ def _solved(drag: OpenFoamDrag, surfaces: tuple[Surface, ...]) -> Solved:
     """All surfaces on the same placements."""
     with _folder(drag.folder) as folder:
         foam = installed(drag.command, folder)
-        done, bad = list[list[One]](), list[FlowError]()
-        for number in range(drag.first, drag.first + 2 * drag.placements):
-            try:
-                done.append([_placed(drag, surface, number, folder, foam) for surface in surfaces])
-            except FlowError as error:  # how cells happen to lie says nothing of the flow: the next placement serves
-                if error.outcome != "bad-grid" or len(bad) == drag.placements:
-                    raise
-                bad.append(error)
-                log.warning("%s; the next placement serves", error)
-            if len(done) == drag.placements:
-                break
+
+        def on_one(number: int, stop: Event) -> list[One]:
+            return [_placed(drag, surface, number, folder, foam, stop) for surface in surfaces]
+
+        done, bad = on_placements(on_one, drag.first, drag.placements, drag.workers)
     notes = tuple(f"another placement serves for one without a grid: {error.args[0]}" for error in bad)
     return tuple(zip(*done, strict=True)), foam, notes
 
@@ -313,12 +312,12 @@ def _folder(name: str) -> Iterator[Path]:
     yield folder.resolve()
 
 
-def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed) -> One:
+def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed, stop: Event) -> One:
     """One placement, as it is kept or solved now."""
     from filelock import FileLock
 
     grid = drag._grid(surface, number)
-    settings = replace(drag, folder="", command="", timeout_s=1.0, placements=1, first=number, half="auto")
+    settings = replace(drag, folder="", command="", timeout_s=1.0, placements=1, first=number, half="auto", workers=1)
     where = folder / kept.key(
         surface=surface.digest,
         settings=asdict(settings),
@@ -345,6 +344,7 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
                 reynolds=drag.reynolds,
                 timeout_s=drag.timeout_s,
                 kept=bool(drag.folder),
+                stop=stop,
             )
         except FlowError as error:
             kept.write(record, error)

@@ -8,6 +8,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 
@@ -50,8 +51,11 @@ def solved(
     reynolds: float,
     timeout_s: float,
     kept: bool,
+    stop: Event,
 ) -> tuple[Placed, Array, Array]:
     """Solve it in the folder `place`, going on where an earlier run was broken off; also points and pressure.
+
+    Once `stop` is set it is ended.
 
     Raises
     ------
@@ -60,7 +64,7 @@ def solved(
     """
     began = time.monotonic()
     end_left_over(place)
-    runner = Runner(place, foam, began + timeout_s, kept)
+    runner = Runner(place, foam, began + timeout_s, kept, stop)
     entries = grid.settings() | files.settings(
         reynolds=reynolds,
         ground=grid.ground,

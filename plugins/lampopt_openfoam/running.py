@@ -13,8 +13,9 @@ import subprocess
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 
 from .installed import ASK, Installed
 from .outcomes import FlowError, Outcome
@@ -31,12 +32,13 @@ TAIL = 6  # lines of a log in a message
 
 @dataclass(frozen=True)
 class Runner:
-    """Runs tools in one case until `deadline` [monotonic s]."""
+    """Runs tools in one case until `deadline` [monotonic s], or until `stop` is set."""
 
     case: Path
     foam: Installed
     deadline: float
     kept: bool = True
+    stop: Event = field(default_factory=Event)
 
     def run(self, tool: str, *arguments: str, fails: Outcome = "failed", watch: Watch | None = None) -> str:
         """Run `tool` to its end and give its log.
@@ -88,6 +90,8 @@ class Runner:
         while process.poll() is None:
             if time.monotonic() > self.deadline:
                 raise self._failed(tool, "was still running when the time was up; allow more by timeout_s", "timed-out")
+            if self.stop.is_set():
+                raise self._failed(tool, "was ended, since nobody waits for it any more; run it again", "killed")
             if watch is not None and watch():
                 return True
             with suppress(subprocess.TimeoutExpired):
