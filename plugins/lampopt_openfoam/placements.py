@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from itertools import islice
 from threading import Event
 from typing import TypeVar
@@ -38,15 +38,23 @@ def on_placements(
     with ThreadPoolExecutor(workers) as pool:
         try:
             while len(done) < count:
-                for future in [pool.submit(solve, number, stop) for number in islice(numbers, count - len(done))]:
-                    try:
-                        done.append(future.result())
-                    except FlowError as error:
-                        if error.outcome != "bad-grid" or len(bad) == count:
-                            raise
-                        bad.append(error)
-                        log.warning("%s; the next placement serves", error)
+                batch = [pool.submit(solve, number, stop) for number in islice(numbers, count - len(done))]
+                for future in as_completed(batch):  # what ends all is told as soon as it comes
+                    if not _bad(future):
+                        future.result()
+                done += [future.result() for future in batch if not _bad(future)]
+                for error in filter(None, map(_bad, batch)):
+                    if len(bad) == count:
+                        raise error
+                    bad.append(error)
+                    log.warning("%s; the next placement serves", error)
         finally:
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
     return done, bad
+
+
+def _bad(future: Future[T]) -> FlowError | None:
+    """That a placement has no good grid, where it has none."""
+    error = future.exception()
+    return error if isinstance(error, FlowError) and error.outcome == "bad-grid" else None
