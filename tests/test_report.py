@@ -198,7 +198,7 @@ def test_conflicts_are_told_in_the_parameters_units(tmp_path, bank):
     result = lampopt.run(study, plugins=small.plugins())
     assert result.design.mix.status == "infeasible"
     found = Page(report(tmp_path, study, [result]).read_text(encoding="utf-8"))
-    assert "they would agree if these were changed: length by 0.5 m, extents.length by −0.5 m" in found.said
+    assert "length 2 → 2.5 m, extents.length 3 → 2.5 m would agree" in found.said
 
 
 @pytest.mark.parametrize("level", ["alpha", "field"])

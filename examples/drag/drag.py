@@ -116,21 +116,24 @@ def study(args):
     model = lampopt.fit_model(bank, "best", ["drag"], plugins=plugins)
     wish = lampopt.Study(
         bank, reference=args.reference, keep=tuple(HELD), objective=lampopt.Reduce("drag", by=CUT),
-        measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing})},
+        measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing, "workers": args.workers})},
         measured={"drag": "flow.drag", **HELD}, turns=args.turns,
     )  # fmt: skip
-    result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", plugins=plugins)
+    with progress_bar("solving and correcting the ask") as progress:
+        result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", progress=progress, plugins=plugins)
     if result.design.mesh is None:
         raise LampoptError(f"{result.folder}: the design has no surface")
     before = lampopt.run(lampopt.Study(bank, reference=args.reference), plugins=plugins).design
     alpha = np.array([before.mix.alpha, result.design.mix.alpha])
     predicted = model(alpha @ bank.parameters[:, [[q.name for q in bank.space].index(i) for i in model.inputs]])[:, 0]
-    compared = {
-        level: plugins.make(
-            "measure", Spec("openfoam-drag", **flow | {"level": level, "placements": args.fresh, "first": FRESH})
-        ).compared(result.design.mesh, before.mesh)
-        for level in [args.level, *([FINER[args.level]] if args.finer else [])]
-    }
+    compared = {}
+    with progress_bar("solving design and reference anew") as progress:
+        for done, level in enumerate(levels := [args.level, *([FINER[args.level]] if args.finer else [])]):
+            progress(done / len(levels), level)
+            anew = flow | {"level": level, "placements": args.fresh, "first": FRESH, "workers": args.workers}
+            compared[level] = plugins.make("measure", Spec("openfoam-drag", **anew)).compared(
+                result.design.mesh, before.mesh
+            )
     r2 = model.cross_validated["drag"]["r2"]
     told(result, before, bank, predicted, r2, compared)
     shutil.copy(result.folder / "mesh.stl", folder / "design.stl")

@@ -65,8 +65,7 @@ def detail(bank: Bank, key: str, title: str, result: Result, shown: Shown, study
     found = sorted(pairs, key=lambda pair: (-abs(pair[1]), pair[0]))
     rows = [(name, a, f"{a:+.3f}".replace("-", "−"), "minus" if a < 0 else "") for name, a in found[:BARS]]
     rest = len(bank) - len(rows)
-    clashes = [_conflict(bank, c.names, c.amounts.tolist()) for c in mix.conflicts]
-    said = [STATUS[mix.status], *([mix.message] if mix.message and mix.status != "exact" else []), *clashes]
+    said = [STATUS[mix.status], *([mix.message] if mix.message and mix.status != "exact" else [])]
     more = f" {rest} smaller ones are not drawn." if rest > 0 else ""
     size = float(np.linalg.norm(mix.alpha))
     why = shown.why or ("" if shown.shape is not None else no_shape(study))
@@ -121,17 +120,6 @@ def span(bank: Bank, name: str) -> str:
     values = columns(bank)[name].values
     known = values[~np.isnan(values)]
     return f"{number(float(known.min()))} to {number(float(known.max()))}" if len(known) else "–"
-
-
-def _conflict(bank: Bank, names: tuple[str, ...], amounts: list[float]) -> str:
-    """Who would have to give, and how much: amounts are in half ranges."""
-    known, said = columns(bank), []
-    for name, amount in zip(names, amounts, strict=True):
-        if name in known:
-            said.append(f"{name} by {with_unit(amount * known[name].spread / 2, known[name].unit)}")
-        else:
-            said.append(f"{name} by {number(amount)} of half its range")
-    return "they would agree if these were changed: " + ", ".join(said)
 
 
 def asked_rows(study: Study, bank: Bank, gathered: Gathered) -> list[dict[str, str]]:
