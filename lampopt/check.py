@@ -7,7 +7,7 @@ scores 0 on a wrong shape. So a design is accepted when every check passes, neve
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 DEFAULTS: Mapping[str, float] = {
     "target": 0.02,  # worst unmet target [half of the bank's range]
     "hard": 1e-6,  # the same of the targets that must be met exactly
+    "measured": 0.02,  # what a study declares measurable, against what was asked [half of the bank's range]
     "range": 1e-4,  # farthest out of a range that was asked for [half of the bank's range]
     "alpha": 3.0,  # ‖alpha − centre‖; a swap of one exemplar for another is 1.41
     "mismatch": 0.01,  # the paper's epsilon [box]
@@ -43,28 +44,28 @@ BAND = 0.05  # half the width of the narrow band about the surface [box]
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits in force: the study's, else the bank's, else the defaults; each name's own before `drift` for all."""
+    """The limits in force: the study's, else the bank's, else the defaults; `drift.length` before `drift` for all."""
 
     study: Mapping[str, float]
     bank: Mapping[str, float]
     names: frozenset[str]  # of the checks that a limit can be set for
 
     @classmethod
-    def of(cls, bank: Bank, limits: Mapping[str, float]) -> Limits:
-        """Those for a study with `limits` of its own.
+    def of(cls, bank: Bank, limits: Mapping[str, float], measured: Iterable[str] = ()) -> Limits:
+        """Those for a study with `limits` of its own, which declares `measured` names measurable.
 
         Raises
         ------
         StudyError, BankError
             If one of the study or of the bank is for a check that does not exist, or no number of at least 0.
         """
-        known = frozenset({*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by)})
+        known = frozenset({*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by), *(f"measured.{p}" for p in measured)})
         _usable(limits, known, "limits", StudyError)
         _usable(bank.limits, known, "limits of the bank", BankError)
         return cls(limits, bank.limits, known)
 
     def __getitem__(self, name: str) -> float:
-        names = (name,) if name in DEFAULTS else (name, name.rpartition(".")[0])
+        names = (name,) if name in DEFAULTS else (name, name.partition(".")[0])
         tables = (self.study, self.bank, DEFAULTS)
         return float(next(table[key] for table in tables for key in names if key in table))
 

@@ -253,5 +253,5 @@ def read_checks(study: Study, quantities: Quantities, found: Closed, limits: Lim
             read, wanted = found.read[name], found.wanted[name]
             off = abs(read - wanted) * 2 / column.spread
             note = f"{address} {read:.6g}, asked {wanted:.6g} {column.unit}".rstrip()
-            checks.append(Check(f"measured.{name}", off, "<=", limits["target"], "half range", "mesh", note))
+            checks.append(Check(f"measured.{name}", off, "<=", limits[f"measured.{name}"], "half range", "mesh", note))
     return checks

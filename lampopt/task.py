@@ -111,7 +111,7 @@ class Task:
                 raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
         measures = {name: _measure(name, choice, plugins) for name, choice in study.to_be_measured().items()}
         models = {name: _model(name, choice, plugins) for name, choice in study.models.items()}
-        limits = Limits.of(bank, study.limits)
+        limits = Limits.of(bank, study.limits, study.measured)
         return cls(study, bank, decoder_of(bank, plugins), solver, limits, checkers, measures, models, plugins)
 
     def keeping(self, folder: Path) -> Task:

@@ -118,6 +118,17 @@ def test_a_label_is_measured_on_the_reference_as_it_is_made(bank):
     assert "flow.drag" in result.check("measured.drag").note
 
 
+def test_the_limit_of_what_is_measured_can_be_set_by_name(bank):
+    asked = {"targets": {"length": 3.2}, "measured": {"length": "extents.length"}}
+    off = run(bank, **asked).check("measured.length")
+    assert off.limit == 0.02 and not off.passed
+    for name in ("measured.length", "measured"):
+        wide = run(bank, **asked, limits={name: 1.0})
+        assert wide.check("measured.length").limit == 1.0 and wide.check("measured.length").passed
+    with pytest.raises(StudyError, match=r"limits: unknown measured\.width; known are .*measured\.length"):
+        run(bank, **asked, limits={"measured.width": 1.0})
+
+
 def test_it_stops_as_soon_as_it_is_there(bank):
     middle = bank.shared["mean"] / bank.frame.scale
     result = run(bank, targets={"length": float(middle[0]), "width": float(middle[1])}, turns=9)

@@ -28,6 +28,7 @@ from lampopt.types import Parameter, Spec
 HERE = Path(__file__).parent
 HELD = {"length": "extents.length", "width": "extents.width", "roof": "extents.height"}
 CUT = 0.10
+PAIRED = 0.026  # standard deviation of a change of drag from placement to placement (benchmarks/flow.py)
 FRESH = 100  # number of the first placement that the search never saw
 FINER = {"coarse": "medium", "medium": "fine"}
 
@@ -113,11 +114,14 @@ def study(args):
             )  # fmt: skip
         with (folder / "labels.csv").open("w", newline="", encoding="utf-8") as table:
             csv.writer(table).writerows([("exemplar", "drag"), *zip(bank.names, bank.labels[:, 0], strict=True)])
+    drag = bank.labels[:, 0]
+    noise = 2 * PAIRED / args.closing**0.5  # what the loop's placements do not tell apart
     model = lampopt.fit_model(bank, "best", ["drag"], plugins=plugins)
     wish = lampopt.Study(
         bank, reference=args.reference, keep=tuple(HELD), objective=lampopt.Reduce("drag", by=CUT),
         measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing, "workers": args.workers})},
         measured={"drag": "flow.drag", **HELD}, turns=args.turns,
+        limits={"measured.drag": 2 * noise * float(drag[bank.names.index(args.reference)] / np.ptp(drag))},
     )  # fmt: skip
     with progress_bar("solving and correcting the ask") as progress:
         result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", progress=progress, plugins=plugins)
