@@ -18,7 +18,18 @@ from rich.markup import escape
 from rich.table import Table
 
 FOLDERS = re.compile(r"(?<![\w/.:…])/(?:[\w.+@-]+/)+")  # of absolute paths, which error messages name
-WIDE = ("name", "value", "grid", "nothing", "target", "met")  # of the rows' entries, those that fit a screen
+WIDE = (
+    "name",
+    "value",
+    "ratio",
+    "grid",
+    "nothing",
+    "target",
+    "met",
+    "ours [s]",
+    "theirs [s]",
+    "note",
+)  # of the rows' entries, those that fit a screen
 
 
 def stamped(benchmark: str, **settings: object) -> dict[str, Any]:
@@ -51,14 +62,15 @@ def plain(value: Any) -> Any:
 def show(console: Console, title: str, table: dict[str, Any]) -> None:
     """One table for people."""
     rows, caption = table["rows"], "\n".join(table["notes"])
-    if "value" in rows[0]:
+    if "value" in rows[0] or "ratio" in rows[0]:
         heads = [h for h in WIDE if any(row.get(h) is not None for row in rows)]
-        out = Table(*heads, "of; by", title=escape(title), caption=escape(caption), caption_justify="left")
+        more = [] if "note" in heads else ["of; by"]
+        out = Table(*heads, *more, title=escape(title), caption=escape(caption), caption_justify="left")
         for row in rows:
-            more = [str(row["of"])] if "of" in row else []
-            more += [", ".join(f"{k} {n}" for k, n in row["by"].items())] if row.get("by") else []
-            more += [f"no mesh: {row['empty']}"] if row.get("empty") else []
-            out.add_row(*(cell(row.get(head)) for head in heads), escape("; ".join(more)))
+            last = [str(row["of"])] if "of" in row else []
+            last += [", ".join(f"{k} {n}" for k, n in row["by"].items())] if row.get("by") else []
+            last += [f"no mesh: {row['empty']}"] if row.get("empty") else []
+            out.add_row(*(cell(row.get(head)) for head in heads), *[escape("; ".join(last))][: len(more)])
     else:  # few rows with much in each: one column a row
         out = Table("", *(row["name"] for row in rows), title=escape(title), caption=escape(caption))
         for head in [h for h in rows[0] if h not in ("name", "decoder", "target", "met")]:

@@ -3,7 +3,8 @@
 What is off is mostly the same nearby (a decoder's blunting, a label that is not linear in the mix), so that asking for
 as much more or less takes nearly all of it away. The first correction takes one unit asked for one unit measured; each
 turn then teaches how they really go together (Broyden, 1965). A label that the parameters explain is asked by a plane
-through what was measured (lampopt.plane), from the first turn. The best of all turns counts.
+through what was measured (lampopt.plane), from the first turn, and always from the design that came nearest. The best
+of all turns counts.
 """
 
 from __future__ import annotations
@@ -177,7 +178,7 @@ def _planes(study: Study, quantities: Quantities, readings: Mapping[str, Reading
         if name in {q.name for q in bank.label_space}:
             value = quantities.at(name, study.reference, study.measured[name])
             if (plane := explained(bank, name, start, value, quantities.plugins)) is not None:
-                found[name] = plane
+                found[name] = replace(plane, wanted=readings[name].wanted)
     return found
 
 

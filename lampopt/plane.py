@@ -27,7 +27,7 @@ NEAR = 0.05  # [ranges] nearer designs than this do not weigh more
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A label near the last of several measured designs.
+    """A label near one of several measured designs.
 
     Parameters
     ----------
@@ -37,31 +37,40 @@ class Plane:
         The label's slope (d,) at parameters (d,), before anything was measured.
     seen
         Parameters (d,) and measured value of each design.
+    wanted
+        The value that is sought: the plane goes through the design nearest to it, the later of equals. None: the last.
     """
 
     parameters: Array
     prior: Callable[[Array], Array]
     seen: tuple[tuple[Array, float], ...]
+    wanted: float | None = None
 
     @property
     def at(self) -> Array:
-        """(d,) the last design."""
-        return self.seen[-1][0]
+        """(d,) the design that it goes through."""
+        return self.seen[self._foot][0]
 
     @property
     def value(self) -> float:
         """What was measured there."""
-        return self.seen[-1][1]
+        return self.seen[self._foot][1]
+
+    @cached_property
+    def _foot(self) -> int:
+        wanted, last = self.wanted, len(self.seen) - 1
+        return last if wanted is None else min(range(last, -1, -1), key=lambda k: abs(self.seen[k][1] - wanted))
 
     def through(self, alpha: Array, value: float) -> Plane:
-        """The plane through another design."""
+        """The plane that another design was measured for, too."""
         return replace(self, seen=(*self.seen, (alpha @ self.parameters, value)))
 
     @cached_property
     def slope(self) -> Array:
-        """(d,) least squares over the designs before, nearer ones weighing more, and the prior."""
-        steps = np.array([at - self.at for at, _ in self.seen[:-1]]).reshape(-1, len(self.at))
-        gains = np.array([value - self.value for _, value in self.seen[:-1]])
+        """(d,) least squares over the other designs, nearer ones weighing more, and the prior."""
+        others = [one for k, one in enumerate(self.seen) if k != self._foot]
+        steps = np.array([at - self.at for at, _ in others]).reshape(-1, len(self.at))
+        gains = np.array([value - self.value for _, value in others])
         weight = 1 / (np.linalg.norm(steps, axis=1) + NEAR)
         rows = np.vstack([steps * weight[:, None], PRIOR * np.eye(len(self.at))])
         told = np.append(gains * weight, PRIOR * self.prior(self.at))

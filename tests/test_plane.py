@@ -90,3 +90,13 @@ def test_a_plane_goes_through_the_last_design_and_learns_of_those_before(seed):
         off.append(np.linalg.norm(found.slope - slope))
     assert off[-1] < off[0]
     np.testing.assert_allclose(Plane(parameters, lambda _: slope, found.seen).slope, slope, atol=1e-9)
+
+
+def test_a_plane_that_seeks_a_value_goes_through_the_design_nearest_to_it():
+    parameters = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    found = Plane(parameters, lambda _: np.array([-1.0, 0.0]), ((parameters[0], 2.0),), wanted=1.0)
+    found = found.through(np.array([0.5, 0.5, 0.0]), 1.4).through(np.array([0.0, 1.0, 0.0]), 3.0)
+    np.testing.assert_array_equal(found.at, [0.5, 0.0])
+    assert found.value == 1.4
+    assert np.array([0.5, 0.5, 0.0]) @ found.values == pytest.approx(1.4)
+    assert found.through(np.array([0.25, 0.75, 0.0]), 1.4).at[0] == 0.75  # of equals the later one
