@@ -20,6 +20,7 @@ from lampopt.errors import FitError, InputError
 from lampopt.plugins import Plugins
 from lampopt.testing import decoder_checks, shapes
 from lampopt.topology import topology
+from lampopt_sdf import training
 from lampopt_sdf.network import BLOCK, Network, Pass, evaluate
 from lampopt_sdf.samples import draw, on_surface
 from lampopt_sdf.sdf_mlp import SdfMlp
@@ -303,17 +304,24 @@ def test_a_seed_per_exemplar_draws_apart(start, fitted):
     np.testing.assert_allclose(twice[0], twice[1], atol=1e-5)
 
 
-def test_a_finished_exemplar_stops_and_leaves_the_others(start):
+def test_a_finished_exemplar_stops_and_leaves_the_others(start, monkeypatch):
     meshes = [EGG, BRICK]  # neither is the mean that the start was fitted to
     weights, error = TINY.fit(start, meshes, seed=0)
     first, last = np.argsort(error)
     between = float(error.mean())  # one reaches this, the other does not
     assert error[first] < 0.97 * between
+    sizes = []
+    step = training._Batch.step
+    monkeypatch.setattr(
+        training._Batch, "step", lambda self, *given: sizes.append(len(self.weights)) or step(self, *given)
+    )
     stopped, reached = replace(TINY, tolerance=between).fit(start, meshes, seed=0)
+    assert sizes == sorted(sizes, reverse=True) and {*sizes} == {2, 1}  # it costs no more steps
     assert not np.array_equal(stopped[first], weights[first])
     assert reached[first] == pytest.approx(between, rel=0.3)  # judged on some of the points, then on all
-    np.testing.assert_array_equal(stopped[last], weights[last])
-    assert reached[last] == error[last]
+    # Some processors round products of one matrix otherwise than those of two.
+    np.testing.assert_allclose(stopped[last], weights[last], atol=1e-3)
+    assert reached[last] == pytest.approx(error[last], rel=1e-2)
 
 
 def test_when_all_are_finished_it_stops(start):

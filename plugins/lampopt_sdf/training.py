@@ -15,6 +15,7 @@ from lampopt_sdf.network import BLOCK, Network, Pass
 WARM_UP = 50  # steps
 NEAR = 0.05  # distance at which a point weighs half of one on the surface [box]
 LOOK = 50  # steps between looks at the reached error
+CROWDED = 0.75  # share of a batch that goes on, at most, when the finished ones leave it
 
 
 @dataclass(frozen=True)
@@ -45,43 +46,89 @@ def train(
     exemplars, or one each.
     """
     with torch.no_grad():
-        device = samples.points.device
-        n, count = samples.distances.shape
-        weights = torch.tensor(start, dtype=torch.float32, device=device)
-        weights.grad = torch.zeros_like(weights)
-        layers, gradients = network.layers(weights), network.layers(weights.grad)
-        optimizer = torch.optim.Adam([weights], lr=rate, betas=(0.9, 0.99), eps=1e-10)
-        run = Pass(network, n, device)
         given, distances = _shuffled(samples, orders)
         features = network.features(given)
-        importance = 1 / (1 + distances.abs() / NEAR) / points
         surface = network.features(samples.surface)
         look = surface[:, :: max(1, surface.shape[1] // BLOCK)]  # the points lie in face order: take some of all
-        running = torch.ones(n, dtype=torch.bool, device=device)
-        finished = weights.clone()
+        finished = torch.tensor(start, dtype=torch.float32, device=given.device)
+        batch = _Batch.of(network, finished.clone(), features, distances, look)
+        left = torch.arange(len(finished), device=given.device)  # whom the batch's rows belong to
+        count = distances.shape[1]
         for step in range(steps):
             first = step % (count // points) * points
-            weights.grad.zero_()
-            for at in range(first, first + points, BLOCK):
-                part = slice(at, min(at + BLOCK, first + points))
-                off = run.forward(layers, features[:, part]) - distances[:, part]
-                run.backward(layers, gradients, features[:, part], off.sign_().mul_(importance[:, part]))
-            for group in optimizer.param_groups:
-                group["lr"] = rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + cos(pi * step / steps))
-            optimizer.step()
+            batch.step(first, points, rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + cos(pi * step / steps)))
             if tolerance > 0 and (step + 1) % LOOK == 0:
-                reached = running & (_error(run, layers, look) <= tolerance)
-                finished[reached] = weights[reached]
-                running &= ~reached
-                if not running.any():
+                going = batch.error() > tolerance
+                fresh = batch.running & ~going
+                finished[left[fresh]] = batch.weights[fresh]
+                batch.running &= going
+                if not batch.running.any():
                     break
+                if batch.running.float().mean() <= CROWDED:
+                    left, batch = left[batch.running], batch.only(batch.running)
             if progress and (step + 1) % 10 == 0:
                 progress((step + 1) / steps, f"step {step + 1} of {steps}")
-        finished[running] = weights[running]
-        error = _error(run, network.layers(finished), surface)
+        finished[left[batch.running]] = batch.weights[batch.running]
+        error = _error(Pass(network, len(finished), given.device), network.layers(finished), surface)
         if progress:
             progress(1.0, "fitted")
         return finished.cpu().numpy(), error.cpu().numpy().astype(float)
+
+
+@dataclass(eq=False)
+class _Batch:
+    """Networks that are trained together, with all that they see; `running` are those that are not finished."""
+
+    run: Pass
+    weights: torch.Tensor
+    optimizer: torch.optim.Adam
+    features: torch.Tensor
+    distances: torch.Tensor
+    look: torch.Tensor
+    running: torch.Tensor
+
+    @classmethod
+    def of(
+        cls,
+        network: Network,
+        weights: torch.Tensor,
+        features: torch.Tensor,
+        distances: torch.Tensor,
+        look: torch.Tensor,
+    ) -> _Batch:
+        weights.grad = torch.zeros_like(weights)
+        optimizer = torch.optim.Adam([weights], betas=(0.9, 0.99), eps=1e-10)
+        running = torch.ones(len(weights), dtype=torch.bool, device=weights.device)
+        run = Pass(network, len(weights), weights.device)
+        return cls(run, weights, optimizer, features, distances, look, running)
+
+    def step(self, first: int, points: int, rate: float) -> None:
+        """One step of Adam on `points` points from the `first`."""
+        assert self.weights.grad is not None
+        self.weights.grad.zero_()
+        layers, gradients = self.run.network.layers(self.weights), self.run.network.layers(self.weights.grad)
+        for at in range(first, first + points, BLOCK):
+            part = slice(at, min(at + BLOCK, first + points))
+            true = self.distances[:, part]
+            off = self.run.forward(layers, self.features[:, part]).sub_(true).sign_()
+            self.run.backward(layers, gradients, self.features[:, part], off.div_((1 + true.abs() / NEAR) * points))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.step()
+
+    def error(self) -> torch.Tensor:
+        """(n,) mean distance on some of the surface points."""
+        return _error(self.run, self.run.network.layers(self.weights), self.look)
+
+    def only(self, keep: torch.Tensor) -> _Batch:
+        """Those that `keep` (n,) says, as far as they are: the finished ones cost no more."""
+        seen = (part[keep] for part in (self.features, self.distances, self.look))
+        found = _Batch.of(self.run.network, self.weights[keep], *seen)
+        (state,) = self.optimizer.state.values()
+        found.optimizer.state[found.weights] = {
+            name: value if value.ndim == 0 else value[keep] for name, value in state.items()
+        }
+        return found
 
 
 def _shuffled(samples: Samples, orders: list[np.random.Generator]) -> tuple[torch.Tensor, torch.Tensor]:
