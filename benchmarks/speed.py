@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,7 +23,7 @@ from trimesh import Trimesh
 
 import lampopt
 from lampopt.check import mismatches
-from lampopt.decode import field_to_mesh, field_to_mesh_dense
+from lampopt.decode import decode, field_to_mesh, field_to_mesh_dense
 from lampopt.errors import LampoptError
 from lampopt.mix import mixed_weights
 from lampopt.types import Array, Bank, Frame, Parameter, Problem, Spec
@@ -233,6 +233,31 @@ def linearity(bench: Bench, args: argparse.Namespace) -> list[Row]:
     return [found, limit("both mismatches apart", abs(ours - theirs), 1e-6, "box", of=f"{ours:.6g}")]
 
 
+def previews(bench: Bench, args: argparse.Namespace) -> list[Row]:
+    """A 64³ preview at N = 100, mixes of a car's 24 networks: against decoding at 64³."""
+    made = bench.bank("body-Hybrid", Body(bench, judge_at(args.judge), "Hybrid").exemplars(), Spec("sdf-mlp"))
+    decoder = bench.plugins.make("decoder", made.decoder)
+    rng = np.random.default_rng(bench.seed)
+    shares = rng.dirichlet(np.ones(len(made)), 8 if bench.quick else MANY)
+    bank = replace(
+        made, names=tuple(f"e{k}" for k in range(len(shares))), parameters=shares @ made.parameters,
+        labels=np.empty((len(shares), 0)), label_space=(), measured=np.empty((len(shares), 0)), measured_by={},
+        weights=mixed_weights(made, shares), probe_values=np.zeros((len(shares), *made.probe_values.shape[1:])),
+        fit_error=np.zeros(len(shares)), calibration=None, path=None,
+    )  # fmt: skip
+    with bench.stage(f"{len(shares)} networks on a grid"):
+        look = lampopt.Preview.of(bank, plugins=bench.plugins)
+    alpha = rng.normal(size=len(shares)) * 0.3
+    alpha += (1 - alpha.sum()) / len(shares)
+    with bench.stage("previews"):
+        race = Race.of(
+            lambda: look.mesh(alpha), lambda: decode(bank, decoder, mixed_weights(bank, alpha), resolution=64),
+            4 * args.pairs,
+        )  # fmt: skip
+    far = apart(look.mesh(alpha), decode(bank, decoder, mixed_weights(bank, alpha), resolution=64)) * bank.frame.scale
+    return [row(f"preview at N = {len(shares)}, decoding at 64³", race, 10.0, apart=f"{far:.2g} of the box at most")]
+
+
 def random_bank(decoder: lampopt.Decoder, count: int, seed: int) -> Bank:
     """Networks around a random one, with their values at the probes: as large as a fitted bank, and no slower."""
     rng = np.random.default_rng(seed)
@@ -348,7 +373,8 @@ def imports(bench: Bench, args: argparse.Namespace) -> list[Row]:
 
 
 RACES: dict[str, Callable[[Bench, argparse.Namespace], list[Row]]] = {
-    "bank": banks, "mesh": meshes, "mismatch": linearity, "mix": mixes, "memory": memory, "import": imports,
+    "bank": banks, "mesh": meshes, "mismatch": linearity, "preview": previews, "mix": mixes, "memory": memory,
+    "import": imports,
 }  # fmt: skip
 
 

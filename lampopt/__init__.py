@@ -20,6 +20,7 @@ from lampopt.lamp import load_bank, store_bank
 from lampopt.loop import design, measure, report, results, run, sweep
 from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.motion import Sensitivities, sensitivities, template_of, warp
+from lampopt.preview import Preview
 from lampopt.recommend import Compared, Comparison
 from lampopt.residuals import Residual, residuals
 from lampopt.response import Response
@@ -44,6 +45,7 @@ __all__ = [
     "Minimise",
     "Mix",
     "Parameter",
+    "Preview",
     "Problem",
     "Pursuit",
     "Reduce",
