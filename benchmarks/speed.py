@@ -7,6 +7,7 @@ ratios of neighbouring runs. Rivals are benchmarks/rivals.py. BLAS and torch on 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -93,6 +94,16 @@ def limit(name: str, value: float, target: float, unit: str, **more: object) -> 
             "note": f"{note}; at most {target:g}"}  # fmt: skip
 
 
+def car(bench: Bench, args: argparse.Namespace) -> Body:
+    """The judge's Hybrid; a body of which few meshes are enough where no figures are wanted."""
+    return Body(bench, judge_at(args.judge), "hatchback" if bench.quick else "Hybrid")
+
+
+def networks(bench: Bench, args: argparse.Namespace) -> Bank:
+    """The bank of its morphs by signed distance networks, fitted once."""
+    return car(bench, args).bank(car(bench, args).exemplars(), Spec("sdf-mlp"), [])
+
+
 # Banks
 
 
@@ -103,7 +114,7 @@ def banks(bench: Bench, args: argparse.Namespace) -> list[Row]:
     from lampopt_sdf.samples import draw
 
     torch.set_num_threads(args.threads)
-    body = Body(bench, judge_at(args.judge), "Hybrid")
+    body = car(bench, args)
     exemplars = body.exemplars()
     count = len(exemplars.meshes)
     made = dict[str, tuple[float, Bank]]()
@@ -162,6 +173,13 @@ def banks(bench: Bench, args: argparse.Namespace) -> list[Row]:
 # Meshes
 
 
+def mixed_of(bank: Bank) -> tuple[Array, Array]:
+    """Coefficients (N,) some way off the mean of `bank`, and their weights (D,)."""
+    off = np.random.default_rng(0).normal(size=len(bank))
+    alpha = 1 / len(bank) + 0.7 * (off - off.mean()) / np.linalg.norm(off)
+    return alpha, mixed_weights(bank, alpha)
+
+
 def two_bodies(points: Array) -> Array:
     """A ball and a small one beside it, and a plate a thousandth of the box thick."""
     big = np.linalg.norm(points - [-0.4, 0.0, 0.0], axis=1) - 0.35
@@ -173,10 +191,9 @@ def two_bodies(points: Array) -> Array:
 
 def meshes(bench: Bench, args: argparse.Namespace) -> list[Row]:
     """A mixed network at 256³, and a field whose parts are easily lost: against every node of the grid."""
-    bank = bench.bank("body-Hybrid", Body(bench, judge_at(args.judge), "Hybrid").exemplars(), Spec("sdf-mlp"))
+    bank = networks(bench, args)
     decoder = bench.plugins.make("decoder", bank.decoder)
-    alpha = np.random.default_rng(bench.seed).normal(size=len(bank)) * 0.15
-    weights = mixed_weights(bank, alpha - alpha.mean() + 1 / len(bank))
+    weights = mixed_of(bank)[1]
     fine = 64 if bench.quick else FINE
     rows = []
     for name, field in (
@@ -215,9 +232,7 @@ def linearity(bench: Bench, args: argparse.Namespace) -> list[Row]:
     """The mismatch of one mix at N = 100 and M = 10,000."""
     decoder = bench.plugins.make("decoder", "sdf-mlp")
     bank = random_bank(decoder, MANY, bench.seed)
-    alpha = np.full(MANY, 1 / MANY) + np.random.default_rng(1).normal(size=MANY) * 0.1
-    alpha += (1 - alpha.sum()) / MANY
-    weights = mixed_weights(bank, alpha)
+    alpha, weights = mixed_of(bank)
 
     def evaluate(weights: Array, points: Array) -> Array:
         return np.asarray(decoder.evaluate(bank.shared, weights, points), float)
@@ -235,7 +250,7 @@ def linearity(bench: Bench, args: argparse.Namespace) -> list[Row]:
 
 def previews(bench: Bench, args: argparse.Namespace) -> list[Row]:
     """A 64³ preview at N = 100, mixes of a car's 24 networks: against decoding at 64³."""
-    made = bench.bank("body-Hybrid", Body(bench, judge_at(args.judge), "Hybrid").exemplars(), Spec("sdf-mlp"))
+    made = networks(bench, args)
     decoder = bench.plugins.make("decoder", made.decoder)
     rng = np.random.default_rng(bench.seed)
     shares = rng.dirichlet(np.ones(len(made)), 8 if bench.quick else MANY)
@@ -247,14 +262,10 @@ def previews(bench: Bench, args: argparse.Namespace) -> list[Row]:
     )  # fmt: skip
     with bench.stage(f"{len(shares)} networks on a grid"):
         look = lampopt.Preview.of(bank, plugins=bench.plugins)
-    alpha = rng.normal(size=len(shares)) * 0.3
-    alpha += (1 - alpha.sum()) / len(shares)
+    alpha, weights = mixed_of(bank)
     with bench.stage("previews"):
-        race = Race.of(
-            lambda: look.mesh(alpha), lambda: decode(bank, decoder, mixed_weights(bank, alpha), resolution=64),
-            4 * args.pairs,
-        )  # fmt: skip
-    far = apart(look.mesh(alpha), decode(bank, decoder, mixed_weights(bank, alpha), resolution=64)) * bank.frame.scale
+        race = Race.of(lambda: look.mesh(alpha), lambda: decode(bank, decoder, weights, resolution=64), 4 * args.pairs)
+    far = apart(look.mesh(alpha), decode(bank, decoder, weights, resolution=64)) * bank.frame.scale
     return [row(f"preview at N = {len(shares)}, decoding at 64³", race, 10.0, apart=f"{far:.2g} of the box at most")]
 
 
@@ -372,9 +383,80 @@ def imports(bench: Bench, args: argparse.Namespace) -> list[Row]:
     ]
 
 
+GROWN = """
+import json, resource, sys, time
+import numpy as np, torch
+import lampopt
+from benchmarks.speed import mixed_of, random_bank
+from lampopt.check import mismatches
+from lampopt.plugins import Plugins
+what, size, threads, file = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+torch.set_num_threads(threads)
+plugins = Plugins.load()
+bank = lampopt.load_bank(file)
+decoder = plugins.make("decoder", bank.decoder)
+if what == "decode":
+    weights = mixed_of(bank)[1]
+    work = lambda: decoder.decode(bank.shared, weights, resolution=size)
+elif what == "fit":
+    from lampopt_sdf import SdfMlp
+    from lampopt.testing import shapes
+    small = SdfMlp(start_steps=1, steps=30, tolerance=0.0)
+    balls = [shapes.ellipsoid([0.5 + 0.3 * k / size] * 3) for k in range(size)]
+    shared = {"start": bank.shared["start"]}
+    work = lambda: small.fit(shared, balls, seed=0)
+else:
+    grown = random_bank(decoder, size, 0)
+    alpha, weights = mixed_of(grown)
+    solver = plugins.make("solver", "kkt")
+    problem = lampopt.Problem(tuple(q.name for q in grown.space), grown.parameters.T, np.zeros(26))
+    work = (lambda: mismatches(grown, decoder, alpha, weights)) if what == "mismatch" else lambda: solver.solve(problem)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+if what != "fit":
+    work()
+seconds = []
+for _ in range(1 if what == "fit" else 5):
+    began = time.perf_counter()
+    work()
+    seconds.append(time.perf_counter() - began)
+print(json.dumps([float(np.median(seconds)), (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024]))
+"""
+
+
+def growth(bench: Bench, args: argparse.Namespace) -> list[Row]:
+    """How time and memory grow with exemplars and resolution: exponents fitted to the last three sizes."""
+    bank = networks(bench, args)
+    numbers, resolutions = (2, 4, 8), (16, 32, 64)
+    if not bench.quick:
+        numbers, resolutions = (8, 32, 128), (64, 128, 256, 512)
+    rows = []
+    for what, sizes in (("decode", resolutions), ("fit", numbers), ("mismatch", numbers), ("solve", numbers)):
+        found = []
+        with bench.stage(f"growth of {what}"):
+            for size in sizes:
+                command = [sys.executable, "-c", GROWN, what, str(size), str(args.threads), str(bank.path)]
+                done = subprocess.run(command, capture_output=True, text=True, check=True)
+                found.append(json.loads(done.stdout))
+        seconds, memory = np.array(found).T
+        by = "resolution" if what == "decode" else "N"
+        for name, values, unit in (("time", seconds, "s"), ("memory", memory, "MB")):
+            note = ", ".join(f"{size}: {value:.3g} {unit}" for size, value in zip(sizes, values, strict=True))
+            slope = float(np.polyfit(np.log(sizes[-3:]), np.log(np.maximum(values[-3:], 1e-9)), 1)[0])
+            rows.append(
+                {
+                    "name": f"{name} of {what}, exponent in {by}",
+                    "ratio": slope,
+                    "target": None,
+                    "met": None,
+                    "note": note,
+                }
+            )
+    return rows
+
+
 RACES: dict[str, Callable[[Bench, argparse.Namespace], list[Row]]] = {
     "bank": banks, "mesh": meshes, "mismatch": linearity, "preview": previews, "mix": mixes, "memory": memory,
-    "import": imports,
+    "import": imports, "growth": growth,
 }  # fmt: skip
 
 
