@@ -101,7 +101,8 @@ def car(bench: Bench, args: argparse.Namespace) -> Body:
 
 def networks(bench: Bench, args: argparse.Namespace) -> Bank:
     """The bank of its morphs by signed distance networks, fitted once."""
-    return car(bench, args).bank(car(bench, args).exemplars(), Spec("sdf-mlp"), [])
+    quick = {"start_steps": 200, "steps": 50, "samples": 10_000} if bench.quick else {}
+    return car(bench, args).bank(car(bench, args).exemplars(), Spec("sdf-mlp", **quick), [])
 
 
 # Banks
@@ -399,7 +400,7 @@ if what == "decode":
     weights = mixed_of(bank)[1]
     work = lambda: decoder.decode(bank.shared, weights, resolution=size)
 elif what == "fit":
-    from lampopt_sdf import SdfMlp
+    from lampopt_sdf.sdf_mlp import SdfMlp
     from lampopt.testing import shapes
     small = SdfMlp(start_steps=1, steps=30, tolerance=0.0)
     balls = [shapes.ellipsoid([0.5 + 0.3 * k / size] * 3) for k in range(size)]
