@@ -5,6 +5,7 @@ from lampopt.asktell import AskTell, Candidate
 from lampopt.bank import build_bank
 from lampopt.calibrate import calibrate
 from lampopt.compare import compare
+from lampopt.compress import compress
 from lampopt.enrich import enrich
 from lampopt.exemplars import exemplars
 from lampopt.experiments import Experiments, experiments
@@ -63,6 +64,7 @@ __all__ = [
     "build_bank",
     "calibrate",
     "compare",
+    "compress",
     "design",
     "enrich",
     "exemplars",

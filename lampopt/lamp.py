@@ -19,6 +19,7 @@ import numpy as np
 from lampopt.errors import BankError, InputError
 from lampopt.reading import brief, path_of, plain_file, why
 from lampopt.types import Array, Bank, Calibration, Frame, Parameter, Spec
+from lampopt.types.lowrank import LowRank
 
 FORMAT = "lampopt bank"
 HEADER = 2**22  # bytes of a header: read as JSON, it may take thirty times as much memory
@@ -42,12 +43,21 @@ DTYPES = {
     "BOOL": np.bool_,
 }
 EVIDENCE = ("values", "errors", "exemplars")  # of a calibration
+FEW = ("middle", "coefficients", "directions")  # of weights by few directions
 PLAIN = ("parameters", "labels", "weights", "probes", "probe_values", "fit_error", "measured")
-KINDS = {"weights": "F32", "probe_values": "F32", "calibration.exemplars": "I64"}  # of arrays; F64 where not named
+KINDS = {
+    "weights": "F32",
+    **{f"weights.{name}": "F32" for name in FEW},
+    "probe_values": "F32",
+    "calibration.exemplars": "I64",
+}  # of arrays; F64 where not named
 
 
-def digest(array: Array) -> str:
-    """A hash of an array's dtype, shape and bytes."""
+def digest(array: Array | LowRank) -> str:
+    """A hash of an array's dtype, shape and bytes; of a `LowRank` one of its parts'."""
+    if isinstance(array, LowRank):
+        parts = "".join(digest(getattr(array, name)) for name in FEW)
+        return hashlib.blake2b(parts.encode(), digest_size=16).hexdigest()
     found = hashlib.blake2b(f"{array.dtype.str}{array.shape}".encode(), digest_size=16)
     if array.size:
         found.update(np.ascontiguousarray(array).data.cast("B"))
@@ -186,6 +196,10 @@ def store_bank(bank: Bank, path: str | Path) -> Bank:
     """Write `bank` to a `.lamp` file and return it as read from there."""
     path = path_of(path, "store")
     arrays = {name: getattr(bank, name) for name in PLAIN} | {f"shared.{k}": v for k, v in bank.shared.items()}
+    weights: object = bank.weights
+    if isinstance(weights, LowRank):
+        del arrays["weights"]
+        arrays |= {f"weights.{name}": getattr(weights, name) for name in FEW}
     found = bank.calibration
     if found is not None:
         arrays |= {f"calibration.{name}": getattr(found, name) for name in EVIDENCE}
@@ -240,7 +254,8 @@ def load_bank(path: str | Path) -> Bank:
             calibration=_calibration(record["calibration"], arrays),
             provenance=record["provenance"],
             path=path,
-            **{name: _kept(arrays, name) for name in PLAIN},
+            **{name: _kept(arrays, name) for name in PLAIN if name != "weights"},
+            weights=_weights(arrays),
         )
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise BankError(f"{path}: its header does not describe a bank: {brief(repr(error))}") from error
@@ -254,6 +269,13 @@ def _listed(value: object) -> list[Any]:
 
 def _space(entries: object) -> tuple[Parameter, ...]:
     return tuple(Parameter(*_listed(entry)) for entry in _listed(entries))
+
+
+def _weights(arrays: Mapping[str, Array]) -> Any:
+    """As they were stored: an array, or by few directions."""
+    if "weights" in arrays:
+        return _kept(arrays, "weights")
+    return LowRank(*(_kept(arrays, f"weights.{name}") for name in FEW))
 
 
 def _kept(arrays: Mapping[str, Array], name: str) -> Array:

@@ -1,8 +1,9 @@
-"""`lampopt bank build`, `add`, `enrich`, `remove`, `info`: exemplars into a bank and out of it, and what is in one."""
+"""`lampopt bank build`, `add`, `enrich`, `remove`, `compress`, `info`: what goes in and out of a bank, what is in it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from lampopt.bank import build_bank
 from lampopt.cli.answer import Answer, Group
 from lampopt.cli.options import can_be_written, pairs, spec
 from lampopt.cli.show import number, span, table
+from lampopt.compress import compress as compressed
 from lampopt.enrich import enrich as enriched
 from lampopt.exemplars import exemplars
 from lampopt.joining import REJECTED
-from lampopt.lamp import load_bank
+from lampopt.lamp import load_bank, store_bank
 from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.plugins import Plugins
 from lampopt.progress import progress_bar
@@ -191,6 +193,36 @@ def remove(file: Path, names: tuple[str, ...], out: Path) -> Answer:
     """
     can_be_written("--out", out)
     return _described(remove_exemplars(load_bank(file), names, store=out))
+
+
+@bank.command()
+@_file
+@click.option(
+    "--error", required=True, metavar="LENGTH", help='How far decoders\' values may change on average: "0.1 mm".'
+)
+@_out
+def compress(file: Path, error: str, out: Path) -> Answer:
+    """Store a bank's weights by few directions.
+
+    As few as keep what the exemplars' decoders say within --error; the bank says how far off they are. The file is
+    smaller, mixes take less time. Limits that were calibrated are dropped. Networks gain little, moved templates much.
+
+    \b
+        lampopt bank compress cars.lamp --error "0.2 mm" --out small.lamp
+    """
+    can_be_written("--out", out)
+    plugins = Plugins.load().report()
+    before = load_bank(file)
+    with progress_bar(f"compressing {file}") as progress:
+        made = store_bank(compressed(before, error, plugins=plugins, progress=progress), out)
+    answer = _described(made)
+    facts = {name: made.provenance[f"low_rank.{name}"] for name in ("rank", "error", "worst")}
+    said = (
+        f"{facts['rank']} directions of {len(made)} exemplars: {number(float(facts['error']))} {made.frame.unit} off "
+        f"on average, {number(float(facts['worst']))} at most; "
+        f"{before.weights.nbytes:,} → {made.weights.nbytes:,} bytes"
+    )
+    return replace(answer, shown=[*answer.shown, said])
 
 
 @bank.command()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from lampopt.types.arrays import (
     whole,
 )
 from lampopt.types.calibration import Calibration
+from lampopt.types.lowrank import LowRank
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -202,6 +203,13 @@ class Frame:
         return moved
 
 
+def _weights(given: Any, n: int) -> Any:
+    """An array (n, D), or a `LowRank` of so many exemplars as it is."""
+    if isinstance(given, LowRank) and len(given) == n:
+        return given
+    return frozen_array(given, "weights", (n, None), np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class Bank:
     """Exemplars fitted by one decoder from one shared start.
@@ -215,7 +223,7 @@ class Bank:
     names
         N exemplar names.
     weights
-        (N, D) float32, held as mapped from the file.
+        (N, D) float32, held as mapped from the file; or a `LowRank`, which behaves as one (`lampopt.compress`).
     shared
         The decoder's named arrays: start weights, a template, a lattice.
     frame
@@ -275,7 +283,7 @@ class Bank:
             names=names,
             parameters=frozen_array(self.parameters, "parameters", (n, d)),
             labels=frozen_array(self.labels, "labels", (n, p), nan=True),
-            weights=frozen_array(self.weights, "weights", (n, None), np.float32),
+            weights=_weights(self.weights, n),
             shared=frozen_arrays(self.shared, "shared"),
             probes=probes,
             probe_values=frozen_array(self.probe_values, "probe_values", (n, len(probes), None), np.float32),
