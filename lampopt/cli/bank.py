@@ -1,4 +1,4 @@
-"""`lampopt bank build`, `add`, `enrich`, `remove`, `compress`, `info`: what goes in and out of a bank, what is in it."""
+"""`lampopt bank build`, `add`, `enrich`, `remove`, `compress`, `info`: exemplars in and out, and what is in a bank."""
 
 from __future__ import annotations
 
