@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -151,6 +152,24 @@ def test_make_drags_family_makes_cars(tmp_path, monkeypatch):
     cars = importlib.import_module("drag").family(tmp_path, 12, 0, 120.0)
     assert [q.unit for q in cars.space] == ["mm"] * 7
     assert all(mesh.is_watertight for mesh in cars.meshes)
+
+
+@pytest.mark.skipif(not shutil.which("simpleFoam"), reason="OpenFOAM is not installed: apt-get install openfoam")
+def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
+    """Fewer placements than `make drag` takes, so that its noise allows for more: two to three per cent."""
+    options = ["--labels", str(EXAMPLES / "drag" / "labels.csv"), "--closing", "3", "--fresh", "4", "--turns", "2"]
+    command = [sys.executable, str(EXAMPLES / "drag" / "drag.py"), "out", *options]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1800)
+    assert done.returncode in (0, 1), done.stderr  # accepted, or rejected by a check
+    change, error = map(
+        float, re.search(r"solved anew, coarse\W+-10\.0 %\W+?([-+][\d.]+) ± ([\d.]+) %", done.stdout).groups()
+    )
+    assert change + 2 * error < 0
+    assert abs(change + 10) < 3 * error + 2
+    held = [float(part) for part in re.findall(r"([\d.]+)% of its range off", done.stdout)]
+    assert len(held) == 3 and max(held) <= 1
+    for file in ("drag.png", "design.stl"):
+        assert (tmp_path / "out" / file).stat().st_size > 10_000
 
 
 @pytest.fixture(scope="module")
