@@ -151,9 +151,20 @@ def closed(
         ask |= dict(zip(names, (at + scale[corrected] * correction).tolist(), strict=True))
         posed, mix = _next(solve, ask, readings, planes)
     assert best is not None
-    bank, found = quantities.bank, best[1]
-    declared = [name for name in target if name in bank.measured_by]
-    return replace(found, expected={name: _by_exemplars(bank, name, target, found.mix)[0] for name in declared})
+    return replace(best[1], expected=_expected(study, quantities.bank, target, readings, best[1].mix))
+
+
+def _expected(
+    study: Study, bank: Bank, target: Mapping[str, float], readings: Mapping[str, Reading], mix: Mix
+) -> dict[str, float]:
+    """What the bank's own measurements of what is asked should read; not known where the study has another measure."""
+    found = {name: _by_exemplars(bank, name, target, mix)[0] for name in target if name in bank.measured_by}
+    for name, address in study.measured.items():
+        if name in found and name in readings:
+            del found[name]
+            if address == bank.measured_by[name]:
+                found[name] = readings[name].wanted / readings[name].factor
+    return found
 
 
 def _next(

@@ -129,6 +129,20 @@ def test_the_limit_of_what_is_measured_can_be_set_by_name(bank):
         run(bank, **asked, limits={"measured.width": 1.0})
 
 
+def test_a_parameter_that_is_a_change_is_held_as_it_is_measured():
+    """The bank knows how much longer a box is, the study holds how long: both checks are of what is measured."""
+    plain = small.boxes()
+    changes = replace(plain, parameters=plain.parameters - [2.5, 1.2])
+    made = small.bank(changes, decoder="blunt", plugins=PLUGINS, measured={"length": "extents.length"})
+    asked = {"keep": ("length",), "reference": "box_4", "targets": {"width": 0.1}, "turns": 4}
+    result = run(made, **asked, measured={"length": "extents.length"})
+    assert result.check("measured.length").passed
+    assert result.check("drift.length").passed
+    before = run(made, reference="box_4").design.mesh.extents[0]
+    assert result.design.mesh.extents[0] == pytest.approx(before, rel=1e-4)
+    assert f"wanted {before:.6g}" in result.check("drift.length").note
+
+
 def test_it_stops_as_soon_as_it_is_there(bank):
     middle = bank.shared["mean"] / bank.frame.scale
     result = run(bank, targets={"length": float(middle[0]), "width": float(middle[1])}, turns=9)
