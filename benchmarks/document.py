@@ -64,13 +64,12 @@ def show(console: Console, title: str, table: dict[str, Any]) -> None:
     rows, caption = table["rows"], "\n".join(table["notes"])
     if "value" in rows[0] or "ratio" in rows[0]:
         heads = [h for h in WIDE if any(row.get(h) is not None for row in rows)]
-        more = [] if "note" in heads else ["of; by"]
-        out = Table(*heads, *more, title=escape(title), caption=escape(caption), caption_justify="left")
+        out = Table(*heads, "of; by", title=escape(title), caption=escape(caption), caption_justify="left")
         for row in rows:
             last = [str(row["of"])] if "of" in row else []
             last += [", ".join(f"{k} {n}" for k, n in row["by"].items())] if row.get("by") else []
             last += [f"no mesh: {row['empty']}"] if row.get("empty") else []
-            out.add_row(*(cell(row.get(head)) for head in heads), *[escape("; ".join(last))][: len(more)])
+            out.add_row(*(cell(row.get(head)) for head in heads), escape("; ".join(last)))
     else:  # few rows with much in each: one column a row
         out = Table("", *(row["name"] for row in rows), title=escape(title), caption=escape(caption))
         for head in [h for h in rows[0] if h not in ("name", "decoder", "target", "met")]:

@@ -1,9 +1,10 @@
 """What people use today for each stage, written from its published recipe: the slower half of benchmarks/speed.py.
 
-One network a shape, the shapes one by one: SIREN (Sitzmann et al., 2020), 256×3, signed distances, Adam at 1e-4. A
-batch: inr2vec (De Luigi et al., 2023), SIREN 512×4 from one shared file of weights, 16 networks in batched products,
-10,000 points each a step, binary cross entropy of (distance + 0.1) / 0.2, Adam at 1e-4. A mesh: every node of the grid
-(scikit-image). A mix: SciPy's SLSQP. A mismatch: N + 1 networks evaluated.
+One network a shape, the shapes one by one: SIREN (Sitzmann et al., 2020), 256×3, fitted to signed distances (its own
+loss, by normals and the eikonal equation, takes longer still), Adam at 1e-4. A batch: inr2vec (De Luigi et al., 2023),
+SIREN 512×4 from one shared file of weights, 16 networks in batched products, 10,000 points each a step, binary cross
+entropy of (distance + 0.1) / 0.2, Adam at 1e-4. A mesh: every node of the grid (scikit-image). A mix: SciPy's SLSQP. A
+mismatch: N + 1 networks evaluated.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 def of_distances(found: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
-    """SIREN's: mean |f − d|."""
+    """Mean |f − d|."""
     return (found - true).abs().mean()
 
 

@@ -204,4 +204,5 @@ def _asked(study: Study, bank: Bank, name: str, plane: Plane, aim: float) -> Stu
         targets={**study.targets, label: aim},
         objective=None,
         measured={key: where for key, where in study.measured.items() if key != name},
+        limits={check: limit for check, limit in study.limits.items() if check != f"measured.{name}"},
     )

@@ -60,8 +60,9 @@ class Limits:
             If one of the study or of the bank is for a check that does not exist, or no number of at least 0.
         """
         known = frozenset({*DEFAULTS, *(f"drift.{p}" for p in bank.measured_by), *(f"measured.{p}" for p in measured)})
+        any_study = known | {f"measured.{q.name}" for q in (*bank.space, *bank.label_space)}
         _usable(limits, known, "limits", StudyError)
-        _usable(bank.limits, known, "limits of the bank", BankError)
+        _usable(bank.limits, any_study, "limits of the bank", BankError)
         return cls(limits, bank.limits, known)
 
     def __getitem__(self, name: str) -> float:

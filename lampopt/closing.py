@@ -19,6 +19,7 @@ from lampopt.check import Limits
 from lampopt.errors import StudyError
 from lampopt.mix import predicted
 from lampopt.plane import Plane, explained
+from lampopt.progress import silent
 from lampopt.quantities import Quantities, Quantity
 from lampopt.solve import Column, Posed
 from lampopt.study import Study
@@ -87,7 +88,7 @@ def closed(
     target: Mapping[str, float],
     solve: Solve,
     start: tuple[Posed, Mix],
-    said: Callable[[str], None] = lambda message: None,
+    tell: Callable[[str], None] = silent,
 ) -> Closed:
     """The best of the study's turns.
 
@@ -99,7 +100,7 @@ def closed(
         Makes the mix of what is asked instead; (N,) what columns are taken to be over the exemplars besides.
     start
         What it makes of `target` itself.
-    said
+    tell
         Told how far off each turn is.
 
     Raises
@@ -130,7 +131,9 @@ def closed(
         rank = (mix.status in ("infeasible", "failed"), worst)  # what nothing meets is no better for being measured
         if best is None or rank < best[0]:
             best = rank, told
-        said(f"correction {turn} of {study.turns}: off by {worst:.3g} half ranges")
+        if study.turns:
+            what = f"correction {turn} of {study.turns}" if turn else "as asked"
+            tell(f"{what}: off by {worst:.3g} half ranges")
         log.debug("turn %d: off by %.4g half ranges", turn, worst)
         if turn == study.turns or worst <= CLOSE or worst == np.inf:
             break

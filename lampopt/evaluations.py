@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from lampopt.errors import InputError
+from lampopt.progress import silent
 from lampopt.types import Array
 
 FILE = "evaluations.jsonl"
@@ -36,19 +37,19 @@ class Evaluation:
 
 @dataclass(eq=False)
 class Memory:
-    """What the search for one design knows, where it notes what it learns (`file`, if any), and whom it tells."""
+    """What the search for one design knows, where it notes what it learns (`file`, if any), and its `listener`."""
 
     design: str = ""
     file: Path | None = None
-    said: Callable[[str], None] = lambda message: None
+    listener: Callable[[str], None] = silent
     _count: int = 0
     _known: dict[str, Known] = field(default_factory=dict)
     _since: float = field(default_factory=time.perf_counter)
 
     @classmethod
-    def at(cls, folder: Path, design: str, said: Callable[[str], None] = lambda message: None) -> Memory:
+    def at(cls, folder: Path, design: str, listener: Callable[[str], None] = silent) -> Memory:
         """That of a search in a run folder."""
-        found = cls(design, folder / FILE, said)
+        found = cls(design, folder / FILE, listener)
         for one in evaluations(folder):
             if one.design == design:
                 found.known(one.name)[one.alpha.tobytes()] = one.value, one.gradient
@@ -69,7 +70,10 @@ class Memory:
         now = time.perf_counter()
         seconds, self._since = now - self._since, now
         self._count += 1
-        self.said(f"evaluation {self._count}: {name} {value:.6g}")
+        self._note(name, alpha, value, gradient, seconds)
+        self.listener(f"evaluation {self._count}: {name} {value:.6g}")
+
+    def _note(self, name: str, alpha: Array, value: float, gradient: Array | None, seconds: float) -> None:
         if self.file is None:
             return
         row = [self.design, name, _text(alpha), value, None if gradient is None else _text(gradient), seconds]

@@ -18,15 +18,15 @@ import numpy as np
 
 from lampopt.errors import BankError, InputError
 from lampopt.reading import brief, path_of, plain_file, why
-from lampopt.types import Array, Bank, Calibration, Frame, Parameter, Spec
-from lampopt.types.lowrank import LowRank
+from lampopt.types import Array, Bank, Calibration, Frame, LowRank, Parameter, Spec
 
 FORMAT = "lampopt bank"
 HEADER = 2**22  # bytes of a header: read as JSON, it may take thirty times as much memory
 ARRAYS = 10_000
-SCHEMA = 2
+SCHEMA = 3
 MIGRATIONS: Mapping[int, Any] = {  # schema → function that turns its record into the next schema's
     1: lambda record: {**record, "calibration": None},
+    2: lambda record: record,  # weights by few directions came later
 }
 DTYPES = {
     "F64": np.float64,

@@ -285,10 +285,10 @@ def _yield(
             file = task.bank.path
         number = 0
 
-        def said(message: str) -> None:
+        def tell_of_design(message: str) -> None:
             tell(number / len(asked), f"design {number + 1} of {len(asked)}, {message}")
 
-        made = judged(task, asked, place, executor, file, ahead, said)
+        made = judged(task, asked, place, executor, file, ahead, tell_of_design)
         with _said_when_stopped(task, asked, place), closing(made):
             for number in range(len(asked)):
                 tell(number / len(asked), f"design {number + 1} of {len(asked)}")

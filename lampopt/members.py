@@ -12,6 +12,7 @@ import numpy as np
 
 from lampopt import lamp
 from lampopt.bank import FILL, decoder_of, hashed, uncalibrated
+from lampopt.compress import expect_own_weights
 from lampopt.errors import BankError, InputError
 from lampopt.fitting import Fitting, InBox, probe_values, ranged
 from lampopt.intake import ALL, Intake, intake, newcomers
@@ -69,7 +70,7 @@ def add_exemplars(
     BankError
         If `store` holds another bank, or another process is building it.
     """
-    _expect_bank(bank)
+    expect_own_weights(bank, "bank")
     if not isinstance(exemplars, Exemplars):
         raise InputError(f"exemplars: expected lampopt.types.Exemplars, got {exemplars!r:.80}")
     exemplars = _in_order_of(bank, exemplars)
@@ -147,7 +148,7 @@ def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | No
     BankError
         If `store` holds another bank, or cannot be written.
     """
-    _expect_bank(bank)
+    expect_own_weights(bank, "bank")
     if isinstance(names, str) or not isinstance(names, Sequence) or not names:
         raise InputError(f"names: expected a list of exemplars, such as ['{bank.names[0]}'], got {names!r:.80}")
     if unknown := [name for name in names if name not in bank.names]:
@@ -173,11 +174,6 @@ def remove_exemplars(bank: Bank, names: Sequence[str], *, store: str | Path | No
         path=None,
     )
     return left if path is None else lamp.store_bank(left, path)
-
-
-def _expect_bank(bank: object) -> None:
-    if not isinstance(bank, Bank):
-        raise InputError(f"bank: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
 
 
 def _told(provenance: Mapping[str, Scalar] | None) -> dict[str, Scalar]:

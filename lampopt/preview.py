@@ -16,9 +16,9 @@ import numpy as np
 
 from lampopt.bank import decoder_of
 from lampopt.errors import EmptyMesh, InputError
-from lampopt.plugins import Plugins
+from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Progress
-from lampopt.types import Array, Bank
+from lampopt.types import Array, Bank, frozen_array
 from lampopt.units import whole
 
 if TYPE_CHECKING:
@@ -56,13 +56,17 @@ class Preview:
     ) -> Preview:
         """Evaluate every exemplar of `bank` on `resolution` nodes along the box's longest side, once.
 
-        It takes 4·N·resolution³ bytes at most, 100 MB for a hundred exemplars at 64.
+        It takes about 4·N·resolution³ bytes, 105 MB for a hundred exemplars at 64.
 
         Raises
         ------
         InputError
             If the decoder moves a template (that is as fast as a preview), or for a resolution out of range.
+        PluginError
+            If the decoder answers with something else than a finite value a point.
         """
+        if not isinstance(bank, Bank):
+            raise InputError(f"preview: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
         if bank.probe_values.shape[-1] != 1:
             raise InputError(
                 f"preview: expected a decoder of signed distances, got {bank.decoder.name!r}, which moves a template: "
@@ -80,7 +84,8 @@ class Preview:
         points = np.minimum(low + pitch * nodes, high)  # of blocks that reach beyond the box
         values = np.empty((len(nodes) // SIDE**3, SIDE**3, len(bank)), np.float32)
         for k, weights in enumerate(bank.weights):
-            found = np.asarray(decoder.evaluate(bank.shared, np.asarray(weights), points))
+            found = decoder.evaluate(bank.shared, np.asarray(weights), points)
+            found = returned(f"decoder {bank.decoder.name!r}: evaluate", found, (len(points), 1), np.float32)
             values[..., k] = found.reshape(len(values), SIDE**3)
             if progress:
                 progress((k + 1) / len(bank), bank.names[k])
@@ -107,10 +112,17 @@ class Preview:
         return self.bank.frame.to_user(Trimesh(self.origin + self.pitch * vertices, faces, process=False))
 
     def grid(self, alpha: Array) -> Array:
-        """(a, b, c) the mixed values at the nodes, away from the surface those of a node nearby; the box is outside."""
-        mix = np.asarray(alpha, np.float32)
-        if mix.shape != (len(self.bank),) or not np.isfinite(mix).all():
-            raise InputError(f"alpha: expected {len(self.bank)} finite coefficients, got shape {mix.shape}")
+        """(a, b, c) the mixed values at the nodes [box], away from the surface those of a node nearby.
+
+        Nodes at the box's sides count as outside.
+
+        Raises
+        ------
+        InputError
+            If `alpha` has not one finite coefficient per exemplar.
+        """
+        with np.errstate(over="ignore"):  # what is too large is refused as not finite
+            mix = frozen_array(alpha, "alpha", (len(self.bank),), np.float32)
         centres = self._centres @ mix
         blocks = centres.reshape(self._blocks)
         steepest = [np.abs(np.diff(blocks, axis=k)).max() for k in range(3) if self._blocks[k] > 1]

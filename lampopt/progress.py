@@ -21,6 +21,10 @@ WINDOW = 300.0  # s of past speed that the time left is told from
 WIDE = 140  # columns where there is no terminal to tell
 
 
+def silent(message: str) -> None:
+    """Tells nobody."""
+
+
 @cache
 def console() -> Console:
     """The one console of this process, on standard error."""

@@ -315,7 +315,7 @@ def _moved(posed: Posed, name: str, amount: float) -> str:
         return _change(posed.limits[i], f"{name} {end}", limit, amount)
     if name == BOUNDS and amount:
         return f"{name} wider by {amount:.3g}"
-    terms = [term for term in (*p.constraints, *p.equalities, *p.objectives) if called(term, "") == name]
+    terms = [term for term in (*p.constraints, *p.equalities) if called(term, "") == name]
     if amount and terms and isinstance(terms[0], Shaped):
         before, after = terms[0].limits(amount)
         return f"{name} {before:.6g} → {after:.6g} {terms[0].unit}".rstrip()

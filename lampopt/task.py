@@ -27,6 +27,7 @@ from lampopt.identity import contents, given, hashed, learned, told
 from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Checker, Decoder, Keeping, Measure, Model, Solver, State
 from lampopt.quantities import Quantities
 from lampopt.safeguards import judged_by
@@ -172,9 +173,9 @@ class Task:
         target: Mapping[str, float],
         posed: Posed,
         mix: Mix,
-        said: Callable[[str], None] = lambda message: None,
+        tell: Callable[[str], None] = silent,
     ) -> Result:
-        """One design: its ask corrected as often as the study says, then judged; `said` is told of each correction."""
+        """One design: its ask corrected as often as the study says, then judged; `tell` is told of each correction."""
         measured = self.study.level == "mesh" and any(told_without_turns(self.study, name) for name in target)
         if not (self.study.turns or measured):
             return self.judge(target, posed, mix)
@@ -183,7 +184,7 @@ class Task:
             posed = self.posed(ask, instead=instead)
             return posed, solve(posed, self.solver)
 
-        found = closed(self.study, self.wishes.quantities, target, again, (posed, mix), said)
+        found = closed(self.study, self.wishes.quantities, target, again, (posed, mix), tell)
         return self.judge(target, found.posed, found.mix, found)
 
     def judge(self, target: Mapping[str, float], posed: Posed, mix: Mix, turned: Closed | None = None) -> Result:

@@ -24,6 +24,7 @@ from lampopt.errors import BankError, LampoptError, PluginError, StudyError, Swe
 from lampopt.evaluations import Memory
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.reading import brief, why
 from lampopt.record import RunFolder
 from lampopt.solve import solve
@@ -48,7 +49,7 @@ def judged(
     executor: Executor | None = None,
     file: Path | None = None,
     ahead: int | None = None,
-    said: Callable[[str], None] = lambda message: None,
+    tell: Callable[[str], None] = silent,
 ) -> Generator[Result, None, None]:
     """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
 
@@ -66,7 +67,7 @@ def judged(
         The bank's, for other processes.
     ahead
         How many designs may be under way or done and not taken; by default what suits the executor.
-    said
+    tell
         Told what goes on in the making of one design; executors tell nothing.
 
     Raises
@@ -84,11 +85,11 @@ def judged(
         if result is None:
             began = time.perf_counter()
             if task.solves_long(target):
-                memory = Memory(said=said) if place is None else Memory.at(place.folder, key, said)
+                memory = Memory(listener=tell) if place is None else Memory.at(place.folder, key, tell)
                 found = task.solved(target, memory)
             else:
                 found = mixes.at(number)
-            result = task.made(target, *found, said)
+            result = task.made(target, *found, tell)
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
 

@@ -120,7 +120,7 @@ def same(one, other):
     plain = ("space", "label_space", "names", "decoder", "measured_by", "mesh_facts", "limits", "provenance")
     return (
         all(getattr(one, name) == getattr(other, name) for name in plain)
-        and all(_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+        and all(_equal(np.asarray(getattr(one, name)), np.asarray(getattr(other, name))) for name in arrays)
         and one.shared.keys() == other.shared.keys()
         and all(_equal(one.shared[name], other.shared[name]) for name in one.shared)
         and (one.frame.scale, one.frame.unit) == (other.frame.scale, other.frame.unit)

@@ -21,8 +21,12 @@ HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
 import small  # noqa: E402
 
+from lampopt.types import LowRank  # noqa: E402
+
 SCHEMA_1 = HERE / "data" / "bank_schema1.lamp"
 SCHEMA_2 = HERE / "data" / "bank_schema2.lamp"
+SCHEMA_3 = HERE / "data" / "bank_schema3.lamp"
+FEW = LowRank([0.75, -1.0, 1.625], [[1.0], [-1.0]], [[0.75, -1.0, -1.375]])  # what schema 3 has besides
 
 
 def tiny(**changes):
@@ -342,12 +346,14 @@ def test_what_is_no_file_is_refused(tmp_path):
         load_bank(tmp_path)
 
 
-@pytest.mark.parametrize(("path", "changes"), [(SCHEMA_1, {"calibration": None}), (SCHEMA_2, {})])
+@pytest.mark.parametrize(
+    ("path", "changes"), [(SCHEMA_1, {"calibration": None}), (SCHEMA_2, {}), (SCHEMA_3, {"weights": FEW})]
+)
 def test_files_of_every_schema_are_still_read(path, changes):
     bank = load_bank(path)
     assert small.same(bank, tiny(**changes))
     assert bank.space[0] == Parameter("länge", "mm", 1.0, 3.0)
-    assert bank.weights[1].tolist() == pytest.approx([0.0, 1e-7, 3.0])
+    assert bank.weights[1].tolist() == pytest.approx([0.0, 1e-7, 3.0], abs=1e-7)
     assert bank.frame.centre.tolist() == [1.0, -2.0, 1e6]
 
 

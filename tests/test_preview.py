@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import lampopt
 from lampopt import Preview
-from lampopt.errors import EmptyMesh, InputError
+from lampopt.errors import EmptyMesh, InputError, PluginError
 from lampopt.plugins import Plugins
 from lampopt.testing import shapes
 from lampopt.types import Bank, Frame, Parameter, Spec
@@ -20,6 +20,7 @@ class Balls:
     """Decoder: weights are a radius and a place along x; values |z − place| − radius are linear in the radius alone."""
 
     wide: float = 1.0
+    channels: int = 1
 
     @property
     def bounds(self):
@@ -33,7 +34,8 @@ class Balls:
 
     def evaluate(self, shared, weights, points):
         apart = points - [1.0, 0.0, 0.0] * np.asarray(weights)[..., 1:, None]
-        return (np.linalg.norm(apart, axis=-1) - np.asarray(weights)[..., :1])[..., None]
+        values = np.linalg.norm(apart, axis=-1) - np.asarray(weights)[..., :1]
+        return np.repeat(values[..., None], self.channels, axis=-1)
 
     def decode(self, shared, weights, *, resolution):
         return shapes.box([weights[0]] * 3)
@@ -131,10 +133,17 @@ def test_progress_is_told():
 def test_what_cannot_be_shown_is_told(balls):
     with pytest.raises(EmptyMesh, match="no surface to show"):
         balls.mesh([2.0, -1.0])  # radius -0.1
-    with pytest.raises(InputError, match=r"expected 2 finite coefficients, got shape \(3,\)"):
+    with pytest.raises(InputError, match=r"alpha: expected shape \(2,\), got \(3,\)"):
         balls.mesh([1.0, 0.0, 0.0])
     with pytest.raises(InputError, match="finite"):
         balls.mesh([np.nan, 1.0])
+    for odd in ("ab", ["a", "b"], [1j, 1.0], [1e300, 0.0]):
+        with pytest.raises(InputError, match="alpha: expected"):
+            balls.mesh(odd)
+    with pytest.raises(InputError, match=r"preview: expected a Bank, got 'boxes\.lamp'"):
+        Preview.of("boxes.lamp")
+    with pytest.raises(PluginError, match="decoder 'balls': evaluate: expected shape"):
+        Preview.of(bank([[0.2, 0.0], [0.5, 0.0]], decoder=Spec("balls", channels=2)), plugins=PLUGINS)
     with pytest.raises(InputError, match="moves a template: its meshes take no longer"):
         Preview.of(bank([[0.2, 0.0], [0.5, 0.0]], channels=3), plugins=PLUGINS)
     with pytest.raises(InputError, match="resolution: expected at least 8 and at most 256"):

@@ -16,6 +16,7 @@ from lampopt.cli.options import can_be_written, pairs, spec
 from lampopt.cli.show import number, span, table
 from lampopt.compress import compress as compressed
 from lampopt.enrich import enrich as enriched
+from lampopt.errors import InputError
 from lampopt.exemplars import exemplars
 from lampopt.joining import REJECTED
 from lampopt.lamp import load_bank, store_bank
@@ -211,6 +212,9 @@ def compress(file: Path, error: str, out: Path) -> Answer:
         lampopt bank compress cars.lamp --error "0.2 mm" --out small.lamp
     """
     can_be_written("--out", out)
+    if out.exists():
+        raise InputError(f"--out {out}: is there already, and is not replaced: name another file")
+    out.parent.mkdir(parents=True, exist_ok=True)
     plugins = Plugins.load().report()
     before = load_bank(file)
     with progress_bar(f"compressing {file}") as progress:

@@ -7,6 +7,7 @@ from lampopt.types.arrays import Array, frozen_array
 from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
+from lampopt.types.lowrank import LowRank
 from lampopt.types.problem import BOUNDS, Conflict, Expressible, Mix, MixBatch, Problem, Status, Term, called, rough
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "Exemplars",
     "Expressible",
     "Frame",
+    "LowRank",
     "Mix",
     "MixBatch",
     "Needs",

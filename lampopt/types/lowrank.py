@@ -44,6 +44,9 @@ class LowRank:
             coefficients=frozen_array(self.coefficients, "coefficients", (None, rank), np.float32),
             directions=directions,
         )
+        largest = np.abs(self.coefficients).sum(1, dtype=float).max(initial=0) * _largest(directions)
+        if not largest + _largest(self.middle) < float(np.finfo(np.float32).max):
+            raise InputError("weights: expected finite values, got directions and coefficients whose products are none")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -85,3 +88,7 @@ class LowRank:
         if copy is False:
             raise ValueError("weights by few directions are no array yet: a copy is needed")
         return np.asarray(self[:], dtype)
+
+
+def _largest(values: Array) -> float:
+    return max(float(values.max(initial=0)), -float(values.min(initial=0)))

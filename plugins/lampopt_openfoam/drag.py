@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 SCATTER: dict[Level, float] = {"coarse": 0.035, "medium": 0.03, "fine": 0.03}  # of drag, from placement to placement
 LIFT_SCATTER = 0.05
+PATIENCE_S = 1.0  # between two looks at whether anybody still waits
 LARGEST, SMALLEST, WIDEST = 1.0, 0.005, 2.5  # frontal area [length²] and width [length] that the domain is made for
 log = logging.getLogger("lampopt.openfoam")
 
@@ -314,8 +315,6 @@ def _folder(name: str) -> Iterator[Path]:
 
 def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed, stop: Event) -> One:
     """One placement, as it is kept or solved now."""
-    from filelock import FileLock
-
     grid = drag._grid(surface, number)
     settings = replace(drag, folder="", command="", timeout_s=1.0, placements=1, first=number, half="auto", workers=1)
     where = folder / kept.key(
@@ -327,7 +326,7 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
         stop=[ITERATIONS, TOLERANCE],
     )
     record, picture = where.with_suffix(".json"), where.with_suffix(".npz")
-    with FileLock(where.with_suffix(".lock")):
+    with _locked(where.with_suffix(".lock"), stop):
         found = kept.read(record)
         if isinstance(found, FlowError):
             raise found
@@ -355,6 +354,26 @@ def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foa
         kept.write(record, placed)
         _tidy(where)
         return placed, points, pressure
+
+
+@contextmanager
+def _locked(file: Path, stop: Event) -> Iterator[None]:
+    """Alone with a placement, while another process may be solving it."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(file)
+    while True:
+        try:
+            lock.acquire(timeout=PATIENCE_S)
+            break
+        except Timeout:
+            if stop.is_set():
+                said = f"{file.stem} is being solved by another process, and nobody waits for it here any more"
+                raise FlowError(said, "killed") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _tidy(case: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lampopt.types import Array
@@ -15,15 +17,14 @@ SHRINK, GROW = 0.5, 0.53  # Taubin's pair: what both do together leaves long wav
 ROUNDS = 20
 
 
-def roughness(vertices: Array, faces: Array) -> float:
+def roughness(vertices: Array, faces: Array, around: Any = None) -> float:
     """Standard deviation of the vertices from a surface smooth over two rings of neighbours, in the vertices' unit.
 
-    The median over the area: edges and creases, which are few, do not count, nor do vertices with long edges.
+    The median over the area: edges and creases, which are few, do not count, nor do vertices with long edges. Of closed
+    meshes without loose vertices; `around` (V, V), the mean of neighbours, if it is at hand.
     """
-    from trimesh import Trimesh
-    from trimesh.smoothing import laplacian_calculation
-
-    around = laplacian_calculation(Trimesh(vertices, faces, process=False))
+    if around is None:
+        around = _around(vertices, faces)
     away = vertices - around @ vertices
     away -= around @ away  # what is left of a curved surface's own bend is of fourth order
     normal = _normals(vertices, faces)
@@ -43,15 +44,22 @@ def roughness(vertices: Array, faces: Array) -> float:
 def smoothed(vertices: Array, faces: Array) -> Array:
     """The vertices (V, 3) after as many rounds of Taubin's smoothing as it takes to be smooth, or all of them."""
     from trimesh import Trimesh
-    from trimesh.smoothing import filter_taubin, laplacian_calculation
+    from trimesh.smoothing import filter_taubin
 
-    mesh = Trimesh(vertices, faces, process=False)
-    around = laplacian_calculation(mesh)
+    mesh, around = Trimesh(vertices, faces, process=False), _around(vertices, faces)
     for _ in range(ROUNDS):
         filter_taubin(mesh, lamb=SHRINK, nu=GROW, iterations=2, laplacian_operator=around)  # type: ignore[no-untyped-call]
-        if roughness(mesh.vertices, faces) <= SMOOTH:
+        if roughness(mesh.vertices, faces, around) <= SMOOTH:
             break
     return np.array(mesh.vertices)
+
+
+def _around(vertices: Array, faces: Array) -> Any:
+    """(V, V) sparse: the mean of each vertex's neighbours."""
+    from trimesh import Trimesh
+    from trimesh.smoothing import laplacian_calculation
+
+    return laplacian_calculation(Trimesh(vertices, faces, process=False))
 
 
 def _normals(vertices: Array, faces: Array) -> Array:

@@ -58,10 +58,9 @@ def train(
             first = step % (count // points) * points
             batch.step(first, points, rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + cos(pi * step / steps)))
             if tolerance > 0 and (step + 1) % LOOK == 0:
-                going = batch.error() > tolerance
-                fresh = batch.running & ~going
+                fresh = batch.running & (batch.error() <= tolerance)
                 finished[left[fresh]] = batch.weights[fresh]
-                batch.running &= going
+                batch.running &= ~fresh
                 if not batch.running.any():
                     break
                 if batch.running.float().mean() <= CROWDED:
