@@ -274,3 +274,44 @@ def test_answers_of_the_solvers_benchmark_are_right_and_found(tmp_path, capsys):
     assert rows["still rows, N = 12"]["value"] < 1e-9
     assert rows["culprit named, targets alone"]["value"] == 1
     assert not any("bounds" in name for name in rows)
+
+
+def test_the_speed_benchmark_end_to_end(tmp_path, capsys):
+    """Its answers agree with the rivals'; speed itself is not asserted."""
+    run = importlib.import_module("benchmarks.speed").main
+    races = ["--race", "mismatch", "--race", "mix", "--race", "memory", "--race", "import"]
+    given = ["--quick", "--pairs", "1", "--threads", "1", "--json", *races, "--cache", str(tmp_path)]
+    assert run(given) == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert all({"name", "ratio", "target", "met"} <= set(row) for row in rows.values())
+    for name in ("both mismatches apart", "both mixes apart", "torch imported by `lampopt plugins`"):
+        assert rows[name]["met"], name
+
+
+def test_rivals_are_what_they_are_called():
+    rivals, speed = (importlib.import_module(f"benchmarks.{name}") for name in ("rivals", "speed"))
+    torch = importlib.import_module("torch")
+    rng = np.random.default_rng(0)
+    first, second = rivals.siren(2, 8, 2, 0), rivals.siren(2, 8, 2, 0)
+    assert all(torch.equal(a, b) and len(a) == 2 for a, b in zip(first, second, strict=True))
+    hidden = rng.uniform(-1, 1, (5, 3)).astype("f4")
+    values = rivals.forward(first, torch.as_tensor(hidden).expand(2, 5, 3))
+    for k in range(0, 6, 2):
+        hidden = hidden @ first[k][0].detach().numpy() + first[k + 1][0].detach().numpy()
+        hidden = np.sin(30 * hidden) if k < 4 else hidden
+    assert values[0].detach().numpy() == pytest.approx(hidden[:, 0], abs=1e-4)
+    distances = torch.linspace(-0.09, 0.09, 7)
+    logits = torch.logit((distances + 0.1) / 0.2)
+    assert rivals.distances(logits).numpy() == pytest.approx(distances.numpy(), abs=1e-6)
+    labels = (distances + 0.1) / 0.2
+    least = -(labels * labels.log() + (1 - labels) * (1 - labels).log()).mean()  # the entropy, which no loss is below
+    assert float(rivals.of_labels(logits, distances)) == pytest.approx(float(least), rel=1e-4)
+    points = torch.as_tensor(rng.uniform(-1, 1, (1, 4000, 3)).astype("f4"))
+    surface = points[:, :500] / points[:, :500].norm(dim=-1, keepdim=True) / 2
+    samples = points, points.norm(dim=-1) - 0.5, surface
+    found = rivals.fitted(
+        rivals.siren(1, 64, 2, 0), samples, rivals.of_distances, lambda f: f, points=512, error=0.06, most=3000
+    )
+    assert found.error <= 0.06 and 10 <= found.steps < 3000 and found.step_s > 0
+    one, other = trimesh.creation.box([1, 1, 1]), trimesh.creation.box([1, 1, 1.2])
+    assert speed.apart(one, other) == pytest.approx(0.1)
