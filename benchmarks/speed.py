@@ -462,9 +462,59 @@ def growth(bench: Bench, args: argparse.Namespace) -> list[Row]:
     return rows
 
 
+def floors(bench: Bench, args: argparse.Namespace) -> list[Row]:
+    """How far stages are from what the arithmetic at the peak of a large product, or the bytes at that of a copy, take."""
+    size = 512 if bench.quick else 2048
+    one, big = np.ones((size, size), np.float32), np.ones(size * size * 8, np.float32)
+    peak = 2 * size**3 / min(clock(lambda: one @ one) for _ in range(5))
+    band = 2 * big.nbytes / min(clock(lambda: big.copy()) for _ in range(5))
+    bank = networks(bench, args)
+    decoder = bench.plugins.make("decoder", bank.decoder)
+    flop, fine = 2 * bank.weights.shape[1], 64 if bench.quick else FINE
+    weights, count = mixed_of(bank)[1], [0]
+
+    def field(points: Array) -> Array:
+        count[0] += len(points)
+        return np.asarray(decoder.evaluate(bank.shared, weights, points)[..., 0])
+
+    field_to_mesh(field, decoder.bounds, fine)
+    many, rng = random_bank(decoder, MANY, bench.seed), np.random.default_rng(bench.seed)
+    alpha, mixed = mixed_of(many)
+    targets = rng.uniform(-1, 1, (TARGETS, PARAMETERS))
+    solver = bench.plugins.make("solver", "kkt")
+    problem = Problem(tuple(q.name for q in many.space), many.parameters.T, targets[0])
+    look = lampopt.Preview.of(bank, plugins=bench.plugins)
+    near = float(
+        (look._values.nbytes // len(look._centres))
+        * look._reached(look._centres @ mixed_of(bank)[0].astype(np.float32)).sum()
+    )
+    stages = [
+        (f"mesh at {fine}³, {count[0]:,} points", lambda: decoder.decode(bank.shared, weights, resolution=fine),
+         count[0] * flop, 0.0),
+        (f"mismatch at N = {MANY}, M = {PROBES:,}", lambda: mismatches(many, decoder, alpha, mixed),
+         PROBES * flop, many.probe_values.nbytes),
+        (f"{TARGETS:,} mixes at N = {MANY}", lambda: solver.solve_many(problem, targets),
+         2.0 * TARGETS * MANY * PARAMETERS, 8.0 * TARGETS * (MANY + 2 * PARAMETERS)),
+        (f"preview at N = {len(bank)}", lambda: look.mesh(mixed_of(bank)[0]), 0.0, near),
+        (f"weights of a mix at N = {MANY}", lambda: mixed_weights(many, alpha), 0.0, many.weights.nbytes),
+    ]  # fmt: skip
+    rows = []
+    with bench.stage("floors"):
+        for name, work, arithmetic, moved in stages:
+            work()
+            seconds = float(np.median([clock(work) for _ in range(args.pairs)]))
+            floor = max(arithmetic / peak, moved / band)
+            note = (
+                f"{1e3 * seconds:.3g} ms, floor {1e3 * floor:.3g} ms at {peak / 1e9:.0f} GFLOP/s, {band / 1e9:.1f} GB/s"
+            )
+            rows.append({"name": f"{name}: times its floor", "ratio": seconds / floor, "target": None, "met": None,
+                         "note": note})  # fmt: skip
+    return rows
+
+
 RACES: dict[str, Callable[[Bench, argparse.Namespace], list[Row]]] = {
     "bank": banks, "mesh": meshes, "mismatch": linearity, "preview": previews, "mix": mixes, "memory": memory,
-    "import": imports, "growth": growth,
+    "import": imports, "growth": growth, "floor": floors,
 }  # fmt: skip
 
 

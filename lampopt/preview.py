@@ -124,12 +124,8 @@ class Preview:
         with np.errstate(over="ignore"):  # what is too large is refused as not finite
             mix = frozen_array(alpha, "alpha", (len(self.bank),), np.float32)
         centres = self._centres @ mix
-        blocks = centres.reshape(self._blocks)
-        steepest = [np.abs(np.diff(blocks, axis=k)).max() for k in range(3) if self._blocks[k] > 1]
-        reach = MARGIN * REACH / SIDE * max([*steepest, SIDE * self.pitch])
         mixed = np.repeat(centres[:, None], SIDE**3, axis=1)
-        near = np.abs(centres) <= reach
-        fresh = near
+        fresh = near = self._reached(centres)
         while fresh.any():
             mixed[fresh] = self._values[fresh] @ mix
             fresh = self._crossed(mixed) & ~near
@@ -141,6 +137,12 @@ class Preview:
                 side = np.moveaxis(grid, k, 0)[end]
                 np.maximum(side, np.float32(self.pitch / 2), out=side)
         return grid
+
+    def _reached(self, centres: Array) -> Array:
+        """(blocks,) whether the surface may come into a block with this value in its middle."""
+        blocks = centres.reshape(self._blocks)
+        steepest = [np.abs(np.diff(blocks, axis=k)).max() for k in range(3) if self._blocks[k] > 1]
+        return np.asarray(np.abs(centres) <= MARGIN * REACH / SIDE * max([*steepest, SIDE * self.pitch]))
 
     def _crossed(self, mixed: Array) -> Array:
         """(blocks,) whether the sign changes between a block and one beside it."""
