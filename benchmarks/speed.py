@@ -463,7 +463,7 @@ def growth(bench: Bench, args: argparse.Namespace) -> list[Row]:
 
 
 def floors(bench: Bench, args: argparse.Namespace) -> list[Row]:
-    """How far stages are from what the arithmetic at the peak of a large product, or the bytes at that of a copy, take."""
+    """How far stages are from their arithmetic at the peak of a large product, or their bytes at that of a copy."""
     size = 512 if bench.quick else 2048
     one, big = np.ones((size, size), np.float32), np.ones(size * size * 8, np.float32)
     peak = 2 * size**3 / min(clock(lambda: one @ one) for _ in range(5))
@@ -484,10 +484,8 @@ def floors(bench: Bench, args: argparse.Namespace) -> list[Row]:
     solver = bench.plugins.make("solver", "kkt")
     problem = Problem(tuple(q.name for q in many.space), many.parameters.T, targets[0])
     look = lampopt.Preview.of(bank, plugins=bench.plugins)
-    near = float(
-        (look._values.nbytes // len(look._centres))
-        * look._reached(look._centres @ mixed_of(bank)[0].astype(np.float32)).sum()
-    )
+    reached = look._reached(look._centres @ mixed_of(bank)[0].astype(np.float32))
+    near = float(look._values[0].nbytes * reached.sum())
     stages = [
         (f"mesh at {fine}³, {count[0]:,} points", lambda: decoder.decode(bank.shared, weights, resolution=fine),
          count[0] * flop, 0.0),
