@@ -8,6 +8,7 @@ import shutil
 import signal
 import stat
 import subprocess
+import threading
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -504,6 +505,27 @@ def test_the_case_says_what_was_asked(tmp_path, fakes):
     assert told["viscosity"] == pytest.approx(1e-6)
     assert told["frontalArea"] == pytest.approx((1.6 * 0.6 + 1.4 * 0.45) / 16 / 2)  # half a model, half its area
     assert "// " in settings.read_text().split("viscosity")[1].splitlines()[0]  # its comments stay
+
+
+def test_a_solver_that_is_told_to_stop_finds_its_settings_whole(tmp_path, fakes):
+    fakes()
+    measure(tmp_path, placements=1)(car())
+    (settings,) = (tmp_path / "kept").glob("*/system/controlDict")
+    whole, done, read = settings.read_text(), threading.Event(), []
+
+    def reader():
+        while not done.is_set():
+            read.append(settings.read_text())
+
+    other = threading.Thread(target=reader)
+    other.start()
+    for _ in range(200):
+        case.stop(settings.parent.parent)
+        case.go_on(settings.parent.parent)
+    done.set()
+    other.join()
+    assert len(read) > 50
+    assert {text.replace("writeNow", "endTime") for text in read} == {whole.replace("writeNow", "endTime")}
 
 
 def test_value_and_interval_without_a_folder_are_one_flow(tmp_path, fakes):

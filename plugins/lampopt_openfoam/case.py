@@ -74,18 +74,25 @@ def start_from_potential(case: Path) -> None:
 
 def stop(case: Path) -> None:
     """Tell the running solver to write what it has and end."""
-    from foamlib import FoamCase
-
-    FoamCase(case).control_dict["stopAt"] = "writeNow"
+    _stop_at(case, "writeNow")
 
 
 def go_on(case: Path) -> None:
     """Take `stop` back, and date that an hour ago: of two changes within ten seconds OpenFOAM misses the second."""
-    from foamlib import FoamCase
-
-    FoamCase(case).control_dict["stopAt"] = "endTime"
+    _stop_at(case, "endTime")
     before = time.time() - 3600
     os.utime(case / "system" / "controlDict", (before, before))
+
+
+def _stop_at(case: Path, when: str) -> None:
+    """In one step: a solver that reads it meanwhile finds it whole."""
+    from foamlib import FoamFile
+
+    file = case / "system" / "controlDict"
+    other = file.with_name("controlDict.next")
+    shutil.copyfile(file, other)
+    FoamFile(other)["stopAt"] = when
+    os.replace(other, file)
 
 
 def coefficients(case: Path) -> Array:
