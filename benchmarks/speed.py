@@ -1,8 +1,8 @@
 """How fast each stage is beside what people use today: ``python -m benchmarks.speed --help`` (docs/performance.md).
 
 lampopt and its rival in turn in one run, the same work at the same quality; medians of both, and the median of the
-ratios of neighbouring runs. Banks are built once, and their rivals' time is reckoned from the steps that two shapes
-take and the time of a step. Rivals are benchmarks/rivals.py. BLAS and torch on `--threads`.
+ratios of neighbouring runs. Banks are built once, and their rivals' time is reckoned from the steps that one shape
+takes and the time of a step. Rivals are benchmarks/rivals.py. BLAS and torch on `--threads`.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from .document import put, show, stamped
 
 T = TypeVar("T")
 ERROR_MM = 3.0  # mean surface error that banks are fitted to
-RIVAL_SHAPES = 2  # of the 24, on which a rival's steps are counted
-MOST_STEPS = 3000  # of a rival
+RIVAL_SHAPES = 1  # of the 24, on which a rival's steps are counted
+MOST_STEPS = 500  # of a rival, as inr2vec takes: one that is not there by then would take longer still
 FINE = 256  # cells along the box of a mesh
 APART = 1e-4  # between the surfaces of both ways [box]
 MANY, PARAMETERS, PROBES, TARGETS = 100, 26, 10_000, 10_000
