@@ -1,5 +1,5 @@
 # make demo     13 plates with a hole → one outside their range, with checks and a picture, in demo/
-# make drag     a car with 10 % less drag, confirmed by OpenFOAM: half an hour on two cores, in demo/openfoam/
+# make drag     a car with 10 % less drag, confirmed by OpenFOAM: a quarter of an hour on two cores, in demo/openfoam/
 # make test     everything that has to hold: lint, types, docs, tests (PYTEST="-m 'not slow'" leaves out the long ones)
 # make docs     docs/_build/html/index.html
 # make lint     ruff and mypy
