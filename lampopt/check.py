@@ -104,6 +104,19 @@ def _met(name: str, off: Array, limits: Limits, note: str) -> Check:
     return Check(name, worst, "<=", limit, "half range", "alpha", "" if worst <= limit else note)
 
 
+def _summed(alpha: Array, values: Array) -> Array:
+    """Σ alpha_i values_i: (..., M, C) of (..., N) and (N, M, C).
+
+    One mix row by row: as a product, numpy would widen all values first, and BLAS's threads stand in the decoder's way.
+    """
+    if alpha.ndim > 1:
+        return np.asarray(np.tensordot(alpha, values, 1))
+    total = np.zeros(values.shape[1:])
+    for share, row in zip(alpha.tolist(), values, strict=True):
+        total += share * row
+    return total
+
+
 def mismatches(
     bank: Bank, decoder: Decoder, alpha: Array, weights: Array, chosen: Array | None = None
 ) -> tuple[Array, Array]:
@@ -123,7 +136,7 @@ def mismatches(
     if chosen is not None and not chosen.all():
         probes, values = probes[chosen], values[:, chosen]
     mixed = np.asarray(decoder.evaluate(bank.shared, weights, probes), float)
-    linear = np.tensordot(alpha, values, 1)
+    linear = _summed(alpha, values)
     if mixed.shape != linear.shape:
         raise BankError(
             f"decoder {bank.decoder.name!r}: expected values of shape {linear.shape} at the probes, as when the bank "

@@ -106,10 +106,14 @@ class Preview:
         from trimesh import Trimesh
 
         grid = self.grid(alpha)
-        if not grid.min() < 0 < grid.max():
+        inside = grid < 0
+        spans = [np.flatnonzero(inside.any(axis)) for axis in ((1, 2), (0, 2), (0, 1))]
+        if not len(spans[0]):
             raise EmptyMesh("preview: the mix does not change sign in the box: there is no surface to show")
-        vertices, faces, _, _ = marching_cubes(grid, 0.0, allow_degenerate=False)
-        return self.bank.frame.to_user(Trimesh(self.origin + self.pitch * vertices, faces, process=False))
+        first = np.array([span[0] - 1 for span in spans])  # nodes at the box's sides are outside
+        part = tuple(slice(low, span[-1] + 2) for low, span in zip(first.tolist(), spans, strict=True))
+        vertices, faces, _, _ = marching_cubes(grid[part], 0.0, allow_degenerate=False)
+        return self.bank.frame.to_user(Trimesh(self.origin + self.pitch * (first + vertices), faces, process=False))
 
     def grid(self, alpha: Array) -> Array:
         """(a, b, c) the mixed values at the nodes [box], away from the surface those of a node nearby.
