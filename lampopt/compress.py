@@ -13,9 +13,8 @@ from typing import cast
 
 import numpy as np
 
-from lampopt.bank import decoder_of, uncalibrated
+from lampopt.bank import decoder_of, hashed, uncalibrated
 from lampopt.errors import InputError
-from lampopt.identity import hashed
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Progress
 from lampopt.types import Array, Bank, LowRank

@@ -14,8 +14,7 @@ import numpy as np
 from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.protocols import Solver
 from lampopt.reading import brief
-from lampopt.terms import Shaped
-from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem, called
+from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem, called, gave
 
 MET = "every target is met"
 ALIKE = 1e-3  # of what gives alone and of what all give: not told twice
@@ -315,10 +314,9 @@ def _moved(posed: Posed, name: str, amount: float) -> str:
         return _change(posed.limits[i], f"{name} {end}", limit, amount)
     if name == BOUNDS and amount:
         return f"{name} wider by {amount:.3g}"
-    terms = [term for term in (*p.constraints, *p.equalities) if called(term, "") == name]
-    if amount and terms and isinstance(terms[0], Shaped):
-        before, after = terms[0].limits(amount)
-        return f"{name} {before:.6g} → {after:.6g} {terms[0].unit}".rstrip()
+    told = [gave(term, amount) for term in (*p.constraints, *p.equalities) if called(term, "") == name]
+    if amount and told and told[0]:
+        return f"{name} {told[0]}"
     return f"{name} by {abs(amount):.3g} half ranges" if amount and name not in p.range_names else name
 
 

@@ -39,6 +39,7 @@ LAYERS = (
     {"intake"},
     {"fitting"},
     {"bank"},
+    {"compress", "preview"},
     {"members"},
     {"solve"},
     {"mix"},

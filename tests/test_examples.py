@@ -159,11 +159,12 @@ def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     """Fewer placements than `make drag` takes, so that its noise allows for more: two to three per cent."""
     options = ["--labels", str(EXAMPLES / "drag" / "labels.csv"), "--closing", "3", "--fresh", "4", "--turns", "2"]
     command = [sys.executable, str(EXAMPLES / "drag" / "drag.py"), "out", *options]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1800)
+    wide = {**os.environ, "COLUMNS": "150"}
+    done = subprocess.run(command, cwd=tmp_path, env=wide, capture_output=True, text=True, timeout=1800)
     assert done.returncode in (0, 1), done.stderr  # accepted, or rejected by a check
-    change, error = map(
-        float, re.search(r"solved anew, coarse\W+-10\.0 %\W+?([-+][\d.]+) ± ([\d.]+) %", done.stdout).groups()
-    )
+    solved = re.search(r"solved anew, coarse\W+-10\.0 %\W+?([-+][\d.]+) ± ([\d.]+) %", done.stdout)
+    assert solved, done.stdout
+    change, error = map(float, solved.groups())
     assert change + 2 * error < 0
     assert abs(change + 10) < 3 * error + 2
     held = [float(part) for part in re.findall(r"([\d.]+)% of its range off", done.stdout)]

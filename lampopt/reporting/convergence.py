@@ -12,6 +12,7 @@ from lampopt.reporting.quantities import BEYOND
 from lampopt.reporting.words import with_unit
 
 DECADES = 100.0  # times its least value: an objective that spans more has a logarithmic axis
+LEAST = 1e-300  # that a logarithm is drawn of: below it decades cannot be told
 STEPS = 800  # of the line that are drawn
 
 
@@ -31,7 +32,7 @@ def convergence(evaluations: Sequence[Evaluation], label: str, title: str, said:
         return ""
     values, numbers = [one.value for one in known], [one.number for one in known]
     low, high = min(values), max(values)
-    log = 0 < low <= high / DECADES
+    log = LEAST <= low <= high / DECADES
     around = 0.06 * (high - low) or abs(high) * 0.1 or 1.0
     y_range = (low - 2.5 * around, high + around)  # below there is room for words
     if log:

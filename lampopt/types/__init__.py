@@ -8,7 +8,19 @@ from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
 from lampopt.types.lowrank import LowRank
-from lampopt.types.problem import BOUNDS, Conflict, Expressible, Mix, MixBatch, Problem, Status, Term, called, rough
+from lampopt.types.problem import (
+    BOUNDS,
+    Conflict,
+    Expressible,
+    Mix,
+    MixBatch,
+    Problem,
+    Status,
+    Term,
+    called,
+    gave,
+    rough,
+)
 
 __all__ = [
     "BOUNDS",
@@ -36,5 +48,6 @@ __all__ = [
     "Term",
     "called",
     "frozen_array",
+    "gave",
     "rough",
 ]

@@ -40,6 +40,15 @@ def rough(term: Term) -> bool:
     return bool(getattr(term, "rough", False))
 
 
+def gave(term: Term, amount: float) -> str | None:
+    """How the limit of a term moves that gives way by `amount` [normalised], in words; None where it tells nothing."""
+    limits = getattr(term, "limits", None)
+    if limits is None:
+        return None
+    before, after = limits(amount)
+    return f"{before:.6g} → {after:.6g} {getattr(term, 'unit', '')}".rstrip()
+
+
 def called(term: Term, otherwise: str) -> str:
     """The name of a term, or `otherwise`."""
     return str(getattr(term, "name", otherwise))

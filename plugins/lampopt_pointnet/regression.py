@@ -17,6 +17,9 @@ from .conformal import folds
 
 PENALTIES = np.geomspace(1, 1e-4, 40)  # of the one that leaves no feature in
 KNOTS = 8  # steps of a path for each feature, at most; a path takes about half as many as there are features
+ROUNDING = 1e-12  # of the largest weight: what interpolation leaves of a feature that went
+OPTIMAL = 1e-8  # of the penalty, by which a feature may pull more
+SWEEPS = 2000  # of coordinate descent
 WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the kernel, in median distances
 _ALONE = Lock()  # the filters of warnings are shared by all threads
 RIDGES = 10.0 ** np.arange(-8, 1)
@@ -105,24 +108,34 @@ def lasso_path(features: Array, values: Array, penalties: Array) -> tuple[Array,
 
     By least angle regression (Efron et al. 2004): the path is a straight line between the penalties at which a feature
     comes or goes, found one after the other. Coordinate descent needs thousands of sweeps on features as alike as
-    these.
+    these; from where a path is near (of twins rounding may take the wrong one, by the processor) it needs few.
     """
     from sklearn.exceptions import ConvergenceWarning
-    from sklearn.linear_model import lars_path_gram
+    from sklearn.linear_model import enet_path, lars_path_gram
 
     middle, mean = features.mean(axis=0), values.mean()
     centred = features - middle
     with _ALONE, warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # a path that ends early goes on as it ends
+        reached, gram = centred.T @ (values - mean), centred.T @ centred
         knots, _, weights = lars_path_gram(
-            centred.T @ (values - mean),
-            centred.T @ centred,
+            reached,
+            gram,
             n_samples=len(values),
             method="lasso",
             alpha_min=penalties[-1],
             max_iter=KNOTS * len(middle),
         )
-    path = np.array([np.interp(penalties, knots[::-1], row[::-1]) for row in weights])
+        path = np.array([np.interp(penalties, knots[::-1], row[::-1]) for row in weights])
+        path[np.abs(path) <= ROUNDING * np.abs(path).max(initial=0.0)] = 0.0
+        for k, penalty in enumerate(penalties):
+            pull = (reached - gram @ path[:, k]) / len(values)
+            if np.abs(pull).max() > penalty * (1 + OPTIMAL):
+                _, found, _ = enet_path(
+                    centred, values - mean, l1_ratio=1.0, alphas=[penalty], precompute=gram, Xy=reached,
+                    coef_init=path[:, k], tol=1e-14, max_iter=SWEEPS,
+                )  # fmt: skip
+                path[:, k] = found[:, 0]
     return path, mean - middle @ path
 
 
