@@ -46,6 +46,7 @@ MANY, PARAMETERS, PROBES, TARGETS = 100, 26, 10_000, 10_000
 LARGE = (1000, 400_000)  # exemplars and weights of a large bank
 ANONYMOUS_MB = 300
 IMPORT_S = 0.3  # above numpy's
+LONG_S = 0.1  # that a timed run takes at least: threads that the other's run left spinning are gone by then
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +58,9 @@ class Race:
 
     @classmethod
     def of(cls, ours: Callable[[], object], theirs: Callable[[], object], pairs: int) -> Race:
-        """Each once to warm up, then `pairs` times in turn."""
-        ours(), theirs()
-        seconds = [(clock(ours), clock(theirs)) for _ in range(pairs)]
+        """Each once to warm up, then `pairs` times in turn; what is short is repeated, as it is in use."""
+        often = [max(1, min(50, int(LONG_S / clock(work)))) for work in (ours, theirs)]
+        seconds = [[clock(work, n) for work, n in zip((ours, theirs), often, strict=True)] for _ in range(pairs)]
         return cls(*np.array(seconds).T)
 
     @property
@@ -68,11 +69,12 @@ class Race:
         return float(np.median(self.theirs / self.ours))
 
 
-def clock(work: Callable[[], object]) -> float:
-    """Seconds of one call."""
+def clock(work: Callable[[], object], repeats: int = 1) -> float:
+    """Seconds of one call, the mean of some in a row."""
     began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
+    for _ in range(repeats):
+        work()
+    return (time.perf_counter() - began) / repeats
 
 
 def row(name: str, race: Race, target: float | None, **more: object) -> Row:
