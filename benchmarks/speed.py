@@ -30,6 +30,8 @@ from lampopt.decode import decode, field_to_mesh, field_to_mesh_dense
 from lampopt.errors import LampoptError
 from lampopt.mix import mixed_weights
 from lampopt.types import Array, Bank, Frame, Parameter, Problem, Spec
+from lampopt_sdf.network import Network
+from lampopt_sdf.sdf_mlp import SdfMlp
 
 from . import rivals
 from .body import Body, judge_at
@@ -275,10 +277,11 @@ def previews(bench: Bench, args: argparse.Namespace) -> list[Row]:
     return [row(f"preview at N = {len(shares)}, decoding at 64³", race, 10.0, apart=f"{far:.2g} of the box at most")]
 
 
-def random_bank(decoder: lampopt.Decoder, count: int, seed: int) -> Bank:
+def random_bank(decoder: SdfMlp, count: int, seed: int) -> Bank:
     """Networks around a random one, with their values at the probes: as large as a fitted bank, and no slower."""
     rng = np.random.default_rng(seed)
-    start = decoder._network().initial(rng)  # type: ignore[attr-defined]
+    network = Network(decoder.width, decoder.depth, decoder.octaves, decoder.activation)
+    start = network.initial(rng)
     weights = (start + 0.02 * rng.normal(size=(count, len(start)))).astype(np.float32)
     probes = rng.uniform(-1, 1, (PROBES, 3))
     return Bank(

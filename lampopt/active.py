@@ -18,6 +18,7 @@ from lampopt.goals import Reduce
 from lampopt.loop import MEASURED, run
 from lampopt.plane import Plane, in_ranges
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Progress
 from lampopt.reading import path_of
 from lampopt.study import Study
@@ -138,7 +139,7 @@ def active(
     flat = Plane(parameters, np.ones_like, ((parameters[rows[0]], 1.0),))
     probe = Task.of(_asked(study, bank, name, flat, 0.9), plugins)
     probe.posed(probe.asked({}))  # what cannot be asked is told before anything is measured
-    tell = progress or (lambda done, message="", /: None)
+    tell = progress or silent
     trials, seen = list[Trial](), list[tuple[Array, float]]()
 
     def measured(alpha: Array, called: str, predicted: float, value: float) -> None:

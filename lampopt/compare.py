@@ -28,6 +28,7 @@ from lampopt.intake import intake
 from lampopt.measured import FOLLOWS, follows, measure_each
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Progress, Solver
 from lampopt.reading import path_of
 from lampopt.recommend import NOTHING, Compared, Comparison, counted, recommended
@@ -98,7 +99,7 @@ def compare(
     solving: Solver = plugins.make("solver", solver)
     place = None if folder is None else path_of(folder, "folder")
     inner, held = _parted(exemplars.parameters)
-    tell = progress or (lambda done, message="": None)
+    tell = progress or silent
     report = intake(exemplars, accept=accept, progress=lambda _, message="": tell(0.0, message))
     report.refuse()
     truth = chosen(report.exemplars, held)

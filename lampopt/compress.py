@@ -16,8 +16,9 @@ import numpy as np
 from lampopt.bank import decoder_of, hashed, uncalibrated
 from lampopt.errors import InputError
 from lampopt.plugins import Plugins, returned
+from lampopt.progress import silent
 from lampopt.protocols import Decoder, Progress
-from lampopt.types import Array, Bank, LowRank
+from lampopt.types import Array, Bank, LowRank, expect_bank
 from lampopt.units import number
 
 BLOCK = 1 << 16  # weights that are looked at together
@@ -53,7 +54,7 @@ def compress(
     wanted = number(error, bank.frame.unit, "error")
     if not wanted > 0:
         raise InputError(f"error: expected a positive length, got {error!r}")
-    decoder, tell = decoder_of(bank, plugins or Plugins.load()), progress or (lambda done, message="", /: None)
+    decoder, tell = decoder_of(bank, plugins or Plugins.load()), progress or silent
     vectors, spread = _principal(bank)
     step = max(1, len(bank.probes) // LOOK)
     few, said = bank.probes[::step], bank.probe_values[:, ::step]
@@ -88,8 +89,7 @@ def compress(
 
 def expect_own_weights(bank: Bank, who: str) -> None:
     """Raise InputError where `who` is given a compressed bank, or none at all."""
-    if not isinstance(bank, Bank):
-        raise InputError(f"{who}: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
+    expect_bank(bank, who)
     if isinstance(cast("object", bank.weights), LowRank):
         raise InputError(f"{who}: expected a bank with its own weights, got a compressed one: take what it was made of")
 

@@ -23,7 +23,7 @@ from lampopt.plugins import Plugins
 from lampopt.protocols import Measure, Progress
 from lampopt.reading import brief, path_of
 from lampopt.study import Study
-from lampopt.types import Array, Bank, Exemplars, Parameter, Result, Scalar
+from lampopt.types import Array, Bank, Exemplars, Parameter, Result, Scalar, expect_bank
 from lampopt.units import factor, filled, number, said
 
 JOINED = "joined."  # before an exemplar's name in the provenance
@@ -86,8 +86,7 @@ def enrich(
     BankError
         If `store` holds another bank, or another process is building it.
     """
-    if not isinstance(bank, Bank):
-        raise InputError(f"bank: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
+    expect_bank(bank, "bank")
     plugins = plugins or Plugins.load().report()
     if isinstance(designs, str | Path):
         folder = path_of(designs, "designs")

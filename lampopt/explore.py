@@ -10,6 +10,7 @@ import numpy as np
 
 from lampopt.errors import InputError, StudyError
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Progress, Solver
 from lampopt.solve import Column, Posed, columns, solve, solve_many
 from lampopt.study import Study
@@ -182,7 +183,7 @@ def explore(
         design=result,
         level=level,
         unit=task.bank.frame.unit,
-        intervals=_intervals(task, result, posed, progress or (lambda done, message="": None)),
+        intervals=_intervals(task, result, posed, progress or silent),
         free=free,
         sizes=sizes,
         names=posed.problem.names,

@@ -16,6 +16,7 @@ import numpy as np
 from lampopt import lamp
 from lampopt.errors import BankError, InputError, PluginError
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Measure, Model, Progress, Regression, State, Surrogate
 from lampopt.reading import brief, path_of
 from lampopt.types import Array, Bank, Exemplars, Parameter, Spec
@@ -73,7 +74,7 @@ def fit_surrogate(
     if store is not None:
         store = path_of(store, "store")
     space, values = _columns(exemplars, names)
-    told = progress or (lambda done, message="": None)
+    told = progress or silent
     learned = learner.fit(
         _Told(exemplars, told), values, tuple(q.name for q in space), tuple(q.unit for q in space), seed=seed
     )

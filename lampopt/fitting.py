@@ -13,6 +13,7 @@ import numpy as np
 from lampopt.errors import FitError, PluginError
 from lampopt.partial import Partial
 from lampopt.plugins import returned
+from lampopt.progress import silent
 from lampopt.protocols import Decoder, Progress, Shared
 from lampopt.types import Array, Exemplars, Frame, Parameter
 from lampopt.types.arrays import frozen_arrays
@@ -79,7 +80,7 @@ class Fitting:
     called: str
     seed: int
     partial: Partial | None = None
-    tell: Progress = lambda done, message="", /: None
+    tell: Progress = silent
 
     def start(self, exemplars: Exemplars, meshes: InBox) -> Shared:
         """What all share, from the mean design."""

@@ -16,6 +16,7 @@ from lampopt.errors import StudyError
 from lampopt.goals import Reduce
 from lampopt.pareto import bends, knee, pareto
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Progress
 from lampopt.study import Study
 from lampopt.task import Task
@@ -199,7 +200,7 @@ def front(
     task, fractions, tell = (
         Task.of(study, plugins),
         _fractions(study, reduce),
-        progress or (lambda done, message="": None),
+        progress or silent,
     )
     task.refuse_corrections("front")
     asked = Asked.of(task)

@@ -29,9 +29,10 @@ from lampopt.identity import whole as all_of
 from lampopt.measured import values_of
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Keeping, Measure, Progress
 from lampopt.reading import brief, path_of, why
-from lampopt.types import Array, Bank, Parameter, Spec
+from lampopt.types import Array, Bank, Parameter, Spec, expect_bank
 from lampopt.units import filled, said, whole
 
 if TYPE_CHECKING:
@@ -89,8 +90,7 @@ def label(
     BankError
         If `store` holds another bank, or another process is labelling it.
     """
-    if not isinstance(bank, Bank):
-        raise InputError(f"bank: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
+    expect_bank(bank, "bank")
     plugins = plugins or Plugins.load().report()
     choice = Spec.of(measure) if isinstance(measure, str | Spec) else measure
     called = choice.name if isinstance(choice, Spec) else type(choice).__name__
@@ -114,7 +114,7 @@ def label(
         if path is not None and isinstance(made, Keeping):
             made = made.kept_in(path.absolute().with_name(path.name + MEASURED))
         work = _Work(bank, called, made, [*names.values()], resolution, parts, plugins)
-        found, failed = work.done(executor, progress or (lambda done, message="", /: None))
+        found, failed = work.done(executor, progress or silent)
         labelled = _with_labels(bank, called, made, names, found, failed, plan)
         if path is None:
             return labelled

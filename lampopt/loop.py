@@ -24,6 +24,7 @@ from lampopt.goals import Objective
 from lampopt.identity import whole
 from lampopt.measured import values_of
 from lampopt.plugins import Plugins
+from lampopt.progress import silent
 from lampopt.protocols import Decoder, Measure, Progress
 from lampopt.reading import brief, path_of, why
 from lampopt.record import RunFolder, recorded
@@ -273,7 +274,7 @@ def _yield(
     report: bool,
     ahead: int | None = None,
 ) -> Generator[Result, None, None]:
-    tell = progress or (lambda done, message="": None)
+    tell = progress or silent
     with RunFolder.open(folder) if folder is not None else nullcontext() as place:
         file = None
         if place is not None:

@@ -18,7 +18,7 @@ from lampopt.bank import decoder_of
 from lampopt.errors import EmptyMesh, InputError
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Progress
-from lampopt.types import Array, Bank, frozen_array
+from lampopt.types import Array, Bank, expect_bank, frozen_array
 from lampopt.units import whole
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ class Preview:
         PluginError
             If the decoder answers with something else than a finite value a point.
         """
-        if not isinstance(bank, Bank):
-            raise InputError(f"preview: expected a Bank, got {bank!r:.80}; read one with load_bank(path)")
+        expect_bank(bank, "preview")
         if bank.probe_values.shape[-1] != 1:
             raise InputError(
                 f"preview: expected a decoder of signed distances, got {bank.decoder.name!r}, which moves a template: "

@@ -21,8 +21,8 @@ WINDOW = 300.0  # s of past speed that the time left is told from
 WIDE = 140  # columns where there is no terminal to tell
 
 
-def silent(message: str) -> None:
-    """Tells nobody."""
+def silent(told: object, message: str = "", /) -> None:
+    """Tells nobody: a `Progress`, and what takes a message alone, where none is given."""
 
 
 @cache

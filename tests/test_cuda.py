@@ -7,6 +7,7 @@ import torch
 from lampopt.testing import shapes
 from lampopt_sdf.sdf_mlp import SdfMlp
 
+# What runs on the processor is tested in test_sdf.py; these need a card, which most machines and CI have not.
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here")
 OPTIONS = {"width": 48, "depth": 3, "octaves": 2, "start_steps": 400, "steps": 100, "points": 1024, "samples": 8000}
 MESHES = [shapes.ellipsoid(radii) for radii in ([0.5, 0.3, 0.25], [0.6, 0.35, 0.2], [0.4, 0.4, 0.3])]

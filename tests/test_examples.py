@@ -154,6 +154,7 @@ def test_make_drags_family_makes_cars(tmp_path, monkeypatch):
     assert all(mesh.is_watertight for mesh in cars.meshes)
 
 
+# No fake of a solver can confirm a cut; `.ci/run` installs OpenFOAM, so that CI does not skip it.
 @pytest.mark.skipif(not shutil.which("simpleFoam"), reason="OpenFOAM is not installed: apt-get install openfoam")
 def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     """Fewer placements than `make drag` takes, so that its noise allows for more: two to three per cent."""

@@ -18,6 +18,7 @@ from lampopt.intake.health import examine, own_findings
 from lampopt.intake.records import Finding, Health
 from lampopt.intake.repair import repaired
 from lampopt.meshfile import indexed
+from lampopt.progress import silent
 from lampopt.protocols import Progress
 from lampopt.types import Array, Exemplars
 
@@ -160,7 +161,7 @@ def intake(
     if not isinstance(exemplars, Exemplars):
         raise InputError(f"exemplars: expected lampopt.types.Exemplars, got {exemplars!r:.80}")
     accepted = _accepted(accept, exemplars.names)
-    tell = progress or (lambda done, message="": None)
+    tell = progress or silent
     health: list[Health] = []
     findings: list[Finding] = []
     bounds: list[Array] = []

@@ -4,7 +4,7 @@ Letters (docs/notation.md): N exemplars, d parameters, p labels, D weights, k ro
 """
 
 from lampopt.types.arrays import Array, frozen_array
-from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec
+from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec, expect_bank
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
 from lampopt.types.lowrank import LowRank
@@ -47,6 +47,7 @@ __all__ = [
     "Status",
     "Term",
     "called",
+    "expect_bank",
     "frozen_array",
     "gave",
     "rough",

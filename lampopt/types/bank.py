@@ -312,3 +312,9 @@ class Bank:
 
     def __len__(self) -> int:
         return len(self.names)
+
+
+def expect_bank(given: object, who: str) -> None:
+    """Raise InputError where `who` is given something else than a `Bank`."""
+    if not isinstance(given, Bank):
+        raise InputError(f"{who}: expected a Bank, got {given!r:.80}; read one with load_bank(path)")
