@@ -64,6 +64,11 @@ def test_what_it_learns_makes_its_predictions_better(bank):
     assert off[-1] < off[0] / 100
 
 
+def test_limits_of_what_it_corrects_itself_do_not_stand_in_its_way(bank):
+    asked = study(bank, Tunnel(), measured={"flow.drag": "flow.drag"}, limits={"measured.flow.drag": 0.3})
+    assert lampopt.active(asked, plugins=PLUGINS, tolerance=1e-3).met
+
+
 def test_a_budget_that_is_spent_gives_the_best_of_all(bank):
     found = lampopt.active(study(bank, Tunnel()), plugins=PLUGINS, tolerance=0.0, budget=5, first=3)
     assert (found.met, found.evaluations) == (False, 5)

@@ -20,7 +20,9 @@ import numpy as np
 import pytest
 import trimesh
 
+import lampopt
 from lampopt import cli, experiments, hookimpl, load_bank, progress
+from lampopt.cli import show
 from lampopt.cli.answer import Answer, Command, _plain
 from lampopt.errors import InputError
 from lampopt.fitted import store_fitted
@@ -782,3 +784,10 @@ def test_docs_show_the_real_help():
 
 if __name__ == "__main__":
     DOC.write_text(refreshed(DOC.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def test_what_rounding_leaves_is_shown_as_nothing():
+    length = lampopt.Parameter("length", "m", -0.3, 0.3)
+    assert show._unrounded(-2e-19, length) == 0.0
+    assert show._unrounded(1e-9, length) == 1e-9
+    assert show._unrounded(2e-19, lampopt.Parameter("tiny", "m", 0.0, 1e-18)) == 2e-19

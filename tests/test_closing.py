@@ -10,12 +10,13 @@ import pytest
 
 import lampopt
 from lampopt import Reduce, Study
-from lampopt.closing import Reading, _next
+from lampopt.closing import Reading, _next, _planes
 from lampopt.errors import StudyError
 from lampopt.plane import Plane
 from lampopt.plugins import Plugins
 from lampopt.quantities import Quantity
 from lampopt.solve import Column
+from lampopt.task import Task
 from lampopt.testing import shapes
 from lampopt.types import Exemplars, Parameter
 
@@ -141,6 +142,13 @@ def test_a_parameter_that_is_a_change_is_held_as_it_is_measured():
     before = run(made, reference="box_4").design.mesh.extents[0]
     assert result.design.mesh.extents[0] == pytest.approx(before, rel=1e-4)
     assert f"wanted {before:.6g}" in result.check("drift.length").note
+
+
+def test_a_bank_may_hold_limits_of_what_studies_measure(bank):
+    held = replace(bank, limits={"measured.length": 1.0}, path=None)
+    asked = {"targets": {"length": 3.2}, "level": "alpha"}
+    assert run(held, **asked).check("target").passed  # of no matter to a study that measures nothing
+    assert run(held, targets={"length": 3.2}, measured={"length": "extents.length"}).check("measured.length").passed
 
 
 def test_it_stops_as_soon_as_it_is_there(bank):
@@ -295,6 +303,18 @@ def test_a_label_that_few_exemplars_have_is_corrected_all_the_same(bank):
     study = Study(few, reference="box_0", objective=Reduce("drag", by=-0.1), turns=1)
     study = replace(study, measures={"air": Volume()}, measured={"drag": "air.drag"})
     assert lampopt.run(study, plugins=every).provenance["turns"] in (0, 1)
+
+
+def test_a_label_is_sought_from_the_design_that_came_nearest(bank):
+    asked = {"reference": "box_4", "objective": Reduce("drag", by=0.1), "turns": 2}
+    study = Study(bank, measures={"air": Volume()}, measured={"drag": "air.drag"}, **asked)
+    quantities = Task.of(study, PLUGINS).wishes.quantities
+    reading = Reading(quantities["drag"].column, quantities.measured("air.drag"), 1.0, 0.3, 1.0)
+    plane = _planes(study, quantities, {"drag": reading})["drag"]
+    first = plane.value
+    far = plane.through(np.eye(7)[0], 9.0)
+    assert far.value == first  # a turn that went astray is learned of, and not gone on from
+    assert far.through(np.eye(7)[5], 0.31).value == 0.31
 
 
 def test_one_turn_goes_half_a_range_at_most():

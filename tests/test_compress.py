@@ -64,6 +64,15 @@ def test_as_few_directions_as_the_error_allows(bank):
     assert mixed_weights(coarse, alpha) == pytest.approx(mixed_weights(bank, alpha), abs=1e-3)
 
 
+def test_the_error_is_kept_on_all_probes_where_it_was_sought_on_few(bank, monkeypatch):
+    monkeypatch.setattr(sys.modules["lampopt.compress"], "LOOK", 1)
+    probes = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.5]])  # the first sees no length and no width, only the middle
+    values = np.stack([small.Stretch().evaluate({}, row, probes) for row in bank.weights])
+    made = lampopt.compress(replace(bank, probes=probes, probe_values=values), "1 mm", plugins=small.plugins())
+    assert made.provenance["low_rank.error"] <= 1e-3
+    assert made.provenance["low_rank.rank"] == 2
+
+
 def test_files_keep_it_and_designs_come_of_it(bank, tmp_path):
     made = lampopt.compress(bank, "1 mm", plugins=small.plugins())
     stored = lampopt.store_bank(made, tmp_path / "few.lamp")

@@ -28,6 +28,15 @@ def run(bank, folder, report=False, **asked):
     return lampopt.run(Study(bank, **{**ASKED, "solver": "casadi", **asked}), folder, report=report, plugins=PLUGINS)
 
 
+def test_an_evaluation_is_kept_before_anybody_is_told_of_it(tmp_path):
+    def stop(message):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Memory.at(tmp_path, "a", stop).tell("volume", np.ones(3), 3.5, None)
+    assert Memory.at(tmp_path, "a").known("volume")[np.ones(3).tobytes()] == (3.5, None)
+
+
 def test_what_is_told_is_known_again(tmp_path):
     memory = Memory.at(tmp_path, "a")
     alpha = np.array([0.1, 0.2, 0.7])

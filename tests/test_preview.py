@@ -16,6 +16,30 @@ from lampopt.types import Bank, Frame, Parameter, Spec
 
 
 @dataclass(frozen=True)
+class Thorn:
+    """A ball with a thorn so steep and thin that no block's middle tells of it: it is found from where it begins."""
+
+    bounds = np.array([[-1.0] * 3, [1.0] * 3])
+
+    def prepare(self, meshes, *, mean, seed):
+        return {}
+
+    def fit(self, shared, meshes, *, seed, progress=None):
+        return np.zeros((len(meshes), 2), np.float32), np.zeros(len(meshes))
+
+    def evaluate(self, shared, weights, points):
+        ball = np.linalg.norm(points, axis=1) - 0.2
+        beside = 8 * (np.linalg.norm(points[:, 1:] - 0.016, axis=1) - 0.03)
+        return np.minimum(ball, np.maximum(beside, np.maximum(points[:, 0] - 0.8, -points[:, 0])))[:, None]
+
+    def decode(self, shared, weights, *, resolution):
+        return shapes.box()
+
+    def probes(self, shared, count, seed):
+        return np.zeros((count, 3))
+
+
+@dataclass(frozen=True)
 class Balls:
     """Decoder: weights are a radius and a place along x; values |z − place| − radius are linear in the radius alone."""
 
@@ -48,7 +72,7 @@ class Balls:
 class Offer:
     @lampopt.hookimpl
     def lampopt_decoders(self):
-        return {"balls": Balls}
+        return {"balls": Balls, "thorn": Thorn}
 
 
 PLUGINS = Plugins.load([("balls", Offer())])
@@ -108,6 +132,15 @@ def test_no_block_that_the_surface_reaches_is_left_out(looks, shares):
 @pytest.fixture(scope="module")
 def looks():
     return Preview.of(bank([[0.2, 0.0], [0.5, 0.3], [0.1, -0.6], [0.4, 0.7]]), 32, plugins=PLUGINS)
+
+
+def test_what_begins_where_the_surface_was_seen_is_followed_to_its_end():
+    look = Preview.of(bank([[0.2, 0.0], [0.2, 0.0]], decoder=Spec("thorn"), scale=1.0), plugins=PLUGINS)
+    alpha = np.array([0.5, 0.5])
+    assert not look._reached(look._centres @ alpha.astype("f4")).reshape(look._blocks)[13:, 8, 8].all()
+    mesh = look.mesh(alpha)
+    assert mesh.is_watertight
+    assert mesh.bounds[1, 0] - 1 == pytest.approx(0.8, abs=look.pitch)
 
 
 def test_a_surface_that_reaches_the_box_is_closed_there(balls):

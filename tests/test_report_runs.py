@@ -487,6 +487,11 @@ def test_a_search_over_decades_has_a_logarithmic_axis():
     assert np.diff(heights) == pytest.approx(np.diff(heights).mean(), abs=0.11)
 
 
+def test_a_search_that_came_to_the_smallest_number_there_is_is_drawn():
+    root = drawing(converged([Evaluation(1, 1.0, 0.0, 0.1), Evaluation(2, 5e-324, 0.0, 0.1)], "f")["svg"])
+    assert len(having(root, "mark")) == 2
+
+
 def test_searches_of_nothing_and_of_one_step():
     assert converged([], "f") is None
     told = converged([Evaluation(1, NAN, 0.0, 1.0)], "f")
