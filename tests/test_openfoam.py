@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from filelock import FileLock
 
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.plugins import Plugins
@@ -885,6 +886,21 @@ def test_what_others_solve_is_ended_when_one_fails(tmp_path, fakes):
     assert outcome(measure(tmp_path, placements=4, workers=2)).outcome == "failed"
     assert time.monotonic() - began < 15
     assert (tmp_path / "calls").read_text().split().count("snappyHexMesh") == 2  # the others were never begun
+
+
+def test_who_waits_for_another_process_stops_waiting_when_a_placement_fails(tmp_path, fakes):
+    fakes()
+    measure(tmp_path)(car())
+    (record,) = (tmp_path / "kept").glob("*.json")
+    record.unlink()
+    fakes(snappyHexMesh="exit 1")  # of the other placement
+    free = threading.Timer(20, lambda: lock.release(force=True))
+    with FileLock(record.with_suffix(".lock"), thread_local=False) as lock:  # as a process does that solves the first
+        free.start()
+        began = time.monotonic()
+        assert outcome(measure(tmp_path, placements=2, workers=2)).outcome == "failed"
+        assert time.monotonic() - began < 15
+        free.cancel()
 
 
 @pytest.mark.parametrize("workers", [1, 3])
