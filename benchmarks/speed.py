@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,7 +27,7 @@ from trimesh import Trimesh
 
 import lampopt
 from lampopt.check import mismatches
-from lampopt.decode import decode, field_to_mesh, field_to_mesh_dense
+from lampopt.decode import decode, decoding, field_to_mesh, field_to_mesh_dense
 from lampopt.errors import LampoptError
 from lampopt.mix import mixed_weights
 from lampopt.types import Array, Bank, Frame, Parameter, Problem, Spec
@@ -44,6 +45,7 @@ RIVAL_SHAPES = 1  # of the 24, on which a rival's steps are counted
 MOST_STEPS = 500  # of a rival, as inr2vec takes: one that is not there by then would take longer still
 FINE = 256  # cells along the box of a mesh
 APART = 1e-4  # between the surfaces of both ways [box]
+STEP = 0.01  # of alpha, from one design of a search to the next
 MANY, PARAMETERS, PROBES, TARGETS = 100, 26, 10_000, 10_000
 LARGE = (1000, 400_000)  # exemplars and weights of a large bank
 ANONYMOUS_MB = 300
@@ -220,6 +222,30 @@ def meshes(bench: Bench, args: argparse.Namespace) -> list[Row]:
         rows += [mesh, limit(f"surfaces of {name} apart", far, APART, "box", parts=f"{parts[0]}, dense {parts[1]}")]
         rows[-1]["met"] = rows[-1]["met"] and parts[0] == parts[1]
     return rows
+
+
+def neighbours(bench: Bench, args: argparse.Namespace) -> list[Row]:
+    """Designs of a search, each a few mm from the last, meshed one after another: against each alone."""
+    bank = networks(bench, args)
+    decoder = bench.plugins.make("decoder", bank.decoder)
+    fine = 64 if bench.quick else FINE
+    alpha = mixed_of(bank)[0]
+    steps = np.cumsum(np.random.default_rng(1).normal(size=(12, len(bank))), 0)
+    steps *= STEP / np.linalg.norm(np.diff(steps, axis=0), axis=1).mean()
+    way = [mixed_weights(bank, alpha + step - step.mean()) for step in steps]
+    made = decoding(bank, decoder, resolution=fine)
+    pairs = [(made(weights), decode(bank, decoder, weights, resolution=fine)) for weights in way]
+    off = max(apart(one, other) for one, other in pairs) * bank.frame.scale
+    far = max(apart(one, other) for (_, one), (_, other) in pairwise(pairs)) / car(bench, args).metre
+    ours, theirs = cycle([*way, *way[::-1]]), cycle(way)
+    with bench.stage(f"neighbours at {fine}³"):
+        race = Race.of(
+            lambda: made(next(ours)),
+            lambda: decode(bank, decoder, next(theirs), resolution=fine),
+            1 if bench.quick else 4 * args.pairs,
+        )
+    near = row(f"mesh at {fine}³ near the last one, made alone", race, None, moved=f"up to {1e3 * far:.2g} mm a step")
+    return [near, limit("surfaces of neighbours apart from those made alone", off, APART, "box")]
 
 
 def apart(one: Trimesh, other: Trimesh) -> float:
@@ -516,8 +542,8 @@ def floors(bench: Bench, args: argparse.Namespace) -> list[Row]:
 
 
 RACES: dict[str, Callable[[Bench, argparse.Namespace], list[Row]]] = {
-    "bank": banks, "mesh": meshes, "mismatch": linearity, "preview": previews, "mix": mixes, "memory": memory,
-    "import": imports, "growth": growth, "floor": floors,
+    "bank": banks, "mesh": meshes, "neighbours": neighbours, "mismatch": linearity, "preview": previews, "mix": mixes,
+    "memory": memory, "import": imports, "growth": growth, "floor": floors,
 }  # fmt: skip
 
 

@@ -6,12 +6,14 @@ d value / d alpha = W · pullback(d value / d vertices): one pass, however many 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.decode import decode
+from lampopt.decode import decoding
 from lampopt.errors import EmptyMesh, MeasureError
 from lampopt.measured import values_of
 from lampopt.mix import mixed_weights
@@ -47,6 +49,10 @@ class Chain:
     resolution: int
     _last: list[_Kept] = field(default_factory=lambda: [_Kept(b"", None)], repr=False)
 
+    @cached_property
+    def _decoded(self) -> Callable[[Array], Trimesh]:
+        return decoding(self.bank, self.decoder, resolution=self.resolution)
+
     def mesh(self, alpha: Array) -> Trimesh | None:
         """The mesh [user's unit] of alpha (N,); None where it has no surface. The last one is kept."""
         return self._made(alpha).mesh
@@ -57,7 +63,7 @@ class Chain:
         if kept.key != key:
             weights = mixed_weights(self.bank, alpha)
             try:
-                kept = _Kept(key, decode(self.bank, self.decoder, weights, resolution=self.resolution))
+                kept = _Kept(key, self._decoded(weights))
             except EmptyMesh:
                 kept = _Kept(key, None)
             self._last[0] = kept

@@ -7,7 +7,7 @@ boundary. What the signatures cannot say is checked by `lampopt.testing`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -185,6 +185,14 @@ class Adjoint(Protocol):
 
     def adjoint(self, shared: Shared, weights: Array, points: Array, gradient: Array) -> Array:
         """(D,) from a gradient (M, C) by the values at points (M, 3) of one weight vector (D,)."""
+
+
+@runtime_checkable
+class Follow(Protocol):
+    """A decoder that makes meshes sooner of weights near those of the last one."""
+
+    def follow(self, shared: Shared, *, resolution: int) -> Callable[[Array], Trimesh]:
+        """What turns one weight vector (D,) after another into the mesh that `decode` makes of it, but for rounding."""
 
 
 @runtime_checkable

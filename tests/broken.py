@@ -7,6 +7,7 @@ import numpy as np
 from lampopt_gridsdf import GridSDF
 from toys import KKT, Boxes, Drag, Linear, Nothing, Size, Volume
 
+from lampopt.decode import NarrowBand
 from lampopt.errors import EmptyMesh
 from lampopt.testing import shapes
 
@@ -269,6 +270,22 @@ class Sloped(GridSDF):
         slope = (weights[nodes][..., None] * slopes).sum(1)
         by = -(gradient * slope).sum(1) / (slope**2).sum(1)
         return Sloped.adjoint(self, shared, weights, mesh.vertices, by[:, None])
+
+    def follow(self, shared, *, resolution):
+        band = NarrowBand(self.bounds, resolution)
+        return lambda weights: band.mesh(lambda points: self.evaluate(shared, weights, points)[:, 0])
+
+
+@breaks("check_follow_is_decode")
+class StaysWhereItWas(Sloped):
+    def follow(self, shared, *, resolution):
+        first = []
+
+        def made(weights):
+            first.append(self.decode(shared, weights, resolution=resolution))
+            return first[0]
+
+        return made
 
 
 @breaks("check_pullback_agrees_with_differences")

@@ -43,6 +43,8 @@ LAYERS = (
     {"members"},
     {"solve"},
     {"mix"},
+    {"lattice"},
+    {"levelset"},
     {"decode"},
     {"angles"},
     {"check"},

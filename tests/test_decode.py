@@ -9,7 +9,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampopt.decode import decode, field_to_mesh, field_to_mesh_dense
+from lampopt.chain import Chain
+from lampopt.decode import NarrowBand, decode, decoding, field_to_mesh, field_to_mesh_dense
 from lampopt.errors import EmptyMesh, InputError, PluginError
 from lampopt.testing import shapes
 from lampopt.topology import topology
@@ -296,6 +297,88 @@ def test_the_work_grows_with_the_surface_not_with_the_volume():
     assert work[1] / work[0] < 5  # 4 for a surface, 8 for a volume
 
 
+# One field after another
+
+
+def same(a, b):
+    """Whether two meshes are one: rounding may differ where points are grouped otherwise."""
+    return np.array_equal(a.faces, b.faces) and np.allclose(a.vertices, b.vertices, atol=1e-9)
+
+
+def moved(field, by):
+    return lambda p: field(p - np.asarray(by))
+
+
+@pytest.mark.parametrize("resolution", [21, 64])
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_band_makes_the_meshes_that_are_made_alone(name, resolution):
+    field, bounds = FIELDS[name]
+    band = NarrowBand(bounds, resolution)
+    pitch = (bounds[1] - bounds[0]).max() / resolution
+    for cells in (0, 0.1, 0.15, 0.3, 0.9, 0.85, 4.0, 4.1, 4.2, 0):
+        other = moved(field, (cells * pitch, -0.3 * cells * pitch, 0.1 * cells * pitch))
+        assert same(band.mesh(other), field_to_mesh(other, bounds, resolution))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), steps=st.lists(st.floats(-0.05, 0.05), min_size=3, max_size=6))
+def test_a_band_follows_any_way(seed, steps):
+    one, other = waves(seed, 5.0), waves(seed + 1, 5.0)
+    band, at = NarrowBand(BOX, 40), 0.0
+    for step in steps:
+        at += step
+
+        def field(p, at=at):
+            return one(p) + at * other(p)
+
+        assert same(band.mesh(field), field_to_mesh(field, BOX, 40))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    centre=st.tuples(*[st.floats(-0.9, 0.9)] * 3).filter(lambda c: np.linalg.norm(c) > 0.5),
+    radius=st.floats(0.015, 0.15),
+)
+def test_a_band_sees_what_comes_up_far_away_and_goes_again(centre, radius):
+    band, alone = NarrowBand(BOX, 128), ball(radius=0.3)
+    for _ in range(3):
+        band.mesh(alone)
+    assert topology(band.mesh(union(alone, ball(centre, radius)))).bodies == 2
+    assert topology(band.mesh(alone)).bodies == 1
+
+
+@pytest.mark.parametrize("name", ["sphere", "torus", "thin plate", "two very different"])
+def test_near_the_last_field_few_points_are_evaluated(name):
+    field, bounds = FIELDS[name]
+    band, work = NarrowBand(bounds, 256), []
+    for k in range(6):
+        counting, count = counted(moved(field, (0.1 * k / 256, 0, 0)))
+        band.mesh(counting)
+        work.append(count[0])
+    assert max(work[2:]) < 0.6 * work[0]
+
+
+def test_a_band_outlives_a_field_without_surface():
+    band = NarrowBand(BOX, 40)
+    for _ in range(3):
+        band.mesh(ball())
+    with pytest.raises(EmptyMesh, match="does not change sign"):
+        band.mesh(lambda p: 1 + ball()(p))
+    with pytest.raises(EmptyMesh, match="not finite"):
+        band.mesh(lambda p: np.full(len(p), np.nan))
+    assert same(band.mesh(ball(radius=0.49)), field_to_mesh(ball(radius=0.49), BOX, 40))
+
+
+def test_bands_differ_by_what_they_saw_but_not_in_what_they_make():
+    # Two ways to one field, one of which lays a band around another
+    target = moved(FIELDS["torus"][0], (0.001, 0, 0))
+    one, other = NarrowBand(BOX, 64), NarrowBand(BOX, 64)
+    for k in range(4):
+        one.mesh(moved(FIELDS["torus"][0], (0.002 * k, 0, 0)))
+        other.mesh(moved(FIELDS["sphere"][0], (0, 0.003 * k, 0)))
+    assert same(one.mesh(target), other.mesh(target))
+
+
 @MESHERS
 def test_points_outside_the_box_are_never_asked_for(mesher):
     seen = []
@@ -374,13 +457,34 @@ class Ball:
         return field_to_mesh(ball(shared["centre"], float(weights[0])), BOX, resolution)
 
 
-def test_decode_answers_in_the_users_unit_and_place():
+class FollowedBall(Ball):
+    """The same, one after another; `asked` counts the points."""
+
+    def __init__(self):
+        self.asked = []
+
+    def follow(self, shared, *, resolution):
+        band = NarrowBand(BOX, resolution)
+
+        def made(weights):
+            field, count = counted(ball(shared["centre"], float(weights[0])))
+            self.asked.append(count)
+            return band.mesh(field)
+
+        return made
+
+
+def balls():
     frame = Frame(0.001, np.array([1000.0, 2000.0, 0.0]), "mm")
-    bank = Bank(
+    return Bank(
         (Parameter("r", "mm", 300.0, 500.0),), np.array([[300.0], [500.0]]), (), np.empty((2, 0)), ("a", "b"),
         np.array([[0.3], [0.5]], np.float32), {"centre": np.array([0.1, 0, 0])}, frame, Spec("ball"),
         np.zeros((1, 3)), np.zeros((2, 1, 1)), np.zeros(2),
     )  # fmt: skip
+
+
+def test_decode_answers_in_the_users_unit_and_place():
+    bank = balls()
     mesh = decode(bank, Ball(), np.array([0.4], np.float32), resolution=64)
     assert isinstance(mesh, trimesh.Trimesh)
     assert mesh.units == "mm"
@@ -389,6 +493,47 @@ def test_decode_answers_in_the_users_unit_and_place():
         decode(bank, Ball(), np.ones(2, np.float32))
     with pytest.raises(EmptyMesh):
         decode(bank, Ball(), np.array([-0.4], np.float32))
+
+
+@pytest.mark.parametrize("decoder", [Ball(), FollowedBall()])
+def test_decoding_makes_what_decode_makes_one_after_another(decoder):
+    bank = balls()
+    made = decoding(bank, decoder, resolution=64)
+    for radius in (0.4, 0.401, 0.402, 0.403, 0.5):
+        weights = np.array([radius], np.float32)
+        found = made(weights)
+        assert found.units == "mm"
+        assert same(found, decode(bank, decoder, weights, resolution=64))
+    with pytest.raises(InputError, match=r"weights: expected shape \(1,\), got \(2,\)"):
+        made(np.ones(2, np.float32))
+    with pytest.raises(EmptyMesh):
+        made(np.array([-0.4], np.float32))
+
+
+def test_a_search_follows_its_designs():
+    decoder = FollowedBall()
+    chain = Chain(balls(), decoder, 128)
+    for share in (0.5, 0.499, 0.498, 0.497):
+        mesh = chain.mesh(np.array([share, 1 - share]))
+        assert mesh.extents == pytest.approx([2000 * (0.5 - 0.2 * share)] * 3, abs=1)
+    work = [count[0] for count in decoder.asked]
+    assert max(work[2:]) < 0.7 * work[0]
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda weights: None, "decode: expected a trimesh.Trimesh, got None"),
+        (None, "follow: expected a function of weights, got None"),
+    ],
+)
+def test_garbage_from_what_follows_is_named(answer, message):
+    class Odd(Ball):
+        def follow(self, shared, *, resolution):
+            return answer
+
+    with pytest.raises(PluginError, match=f"decoder 'ball': {message}"):
+        decoding(balls(), Odd())(np.array([0.4], np.float32))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lampopt.errors import EmptyMesh, FitError
-from lampopt.protocols import Decoder
+from lampopt.protocols import Decoder, Follow
 from lampopt.testing import fresh
 from lampopt.testing.bench import (
     BOX,
@@ -178,6 +178,22 @@ def check_decode_is_deterministic(decoder: Decoder) -> None:
     expect(same_mesh(first, b.decode(b.weights[BOX])), "decode: a, b, a gives two meshes for a")
 
 
+def check_follow_is_decode(decoder: Decoder) -> None:
+    """A search sees meshes made one after another; a design is made alone, and has to be the one that was seen."""
+    if not isinstance(decoder, Follow):
+        raise NotApplicable("it makes every mesh anew")
+    b = bench(decoder)
+    follow = decoder.follow(writable(b.shared), resolution=RESOLUTION)
+    way = [b.weights[BOX] + np.float32(t) * (b.weights[LONGER] - b.weights[BOX]) for t in (0.0, 0.01, 0.03, 0.02, 1.0)]
+    for weights in (*way, b.weights[ROUND], way[0]):
+        found, alone = follow(np.array(weights)), b.decode(weights)
+        expect(np.array_equal(found.faces, alone.faces), "follow: another mesh than that of decode")
+        apart = float(np.abs(np.asarray(found.vertices) - alone.vertices).max()) / b.half
+        expect(
+            apart <= SAME, f"follow: vertices are up to {apart:.2e} from those of decode, expected <= {SAME} [half box]"
+        )
+
+
 def check_surface_is_near_the_mesh(decoder: Decoder) -> None:
     """A design can be no better than the exemplars it is mixed of."""
     b = bench(decoder)
@@ -316,4 +332,5 @@ CHECKS: tuple[CheckFunction, ...] = (
     check_fresh_process_agrees,
     check_pullback_agrees_with_differences,
     check_adjoint_agrees_with_differences,
+    check_follow_is_decode,
 )

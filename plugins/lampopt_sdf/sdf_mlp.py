@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampopt.decode import field_to_mesh
+from lampopt.decode import NarrowBand, field_to_mesh
 from lampopt.errors import InputError
 from lampopt.protocols import Progress, Shared
 from lampopt.types import Array
@@ -133,6 +133,11 @@ class SdfMlp:
     def decode(self, shared: Shared, weights: Array, *, resolution: int) -> Trimesh:
         """The zero level set in the box, closed, faces outward. Raises EmptyMesh."""
         return field_to_mesh(lambda points: self.evaluate(shared, weights, points)[..., 0], self.bounds, resolution)
+
+    def follow(self, shared: Shared, *, resolution: int) -> Callable[[Array], Trimesh]:
+        """As `decode`, of one weight vector (D,) after another: near the last only a band about it is evaluated."""
+        band = NarrowBand(self.bounds, resolution)
+        return lambda weights: band.mesh(lambda points: self.evaluate(shared, weights, points)[..., 0])
 
     def adjoint(self, shared: Shared, weights: Array, points: Array, gradient: Array) -> Array:
         """(D,) from a gradient (M, 1) by the values of `evaluate` at points (M, 3)."""
