@@ -2,7 +2,8 @@
 
 Three ways to one wish, the cases of benchmarks/drag.py: every exemplar labelled, then the closed loop; active learning,
 which measures a few; COBYLA on the measure itself. Every mesh that a way has drag measured on counts once, those of the
-exemplars and the reference too, up to the first that is within half a percent of the reference's drag from the target.
+exemplars and the reference too, up to the first design that is within half a percent of the reference's drag from the
+target. With `--flow` drag is OpenFOAM's, of the cars of `make drag` with their labels, length, width and roof held.
 """
 
 from __future__ import annotations
@@ -10,74 +11,117 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.console import Console
+from trimesh import Trimesh
 
 import lampopt
 from lampopt.errors import LampoptError
+from lampopt.types import Array
 
 from .body import Body, judge_at
-from .common import Bench, Row, line, options, source, threads
+from .common import ROOT, Bench, Row, line, module_at, options, source, threads
 from .document import put, show, stamped
-from .drag import CUT, Once, Studies, cases, of_body
+from .drag import CUT, Once, Some, Studies, cases, of_body
 
-CASES = 20
+CASES, FLOW_CASES = 20, 3
 BUDGET = 100
 CLOSE = 0.005  # of the reference's drag
 WAYS = ("label, then solve", "active", "cobyla")
+EXAMPLE = ROOT / "examples" / "drag"
+LABELLED = {"level": "coarse", "placements": 3}  # how the labels of the example were made
+HELD = ("length", "width", "roof")
+TURNS = 20
+EXEMPLARS, EDGE_MM = 24, 60.0  # of the example, by default
 
 
-def until(asked: Once, start: float, before: int) -> int | None:
-    """How many meshes there were to the first that is close, with those `before`; None where none is."""
-    wanted = (1 - CUT) * start
-    close = [k for k, value in enumerate(asked.known.values(), 1) if abs(value[0] - wanted) <= CLOSE * start]
-    return before + close[0] if close else None
+class Reached(KeyboardInterrupt):
+    """A search is there: an interrupt, which nothing on the way may take for a failed measure."""
+
+
+@dataclass(frozen=True, eq=False)
+class Until:
+    """Measure: what `of` says, until a design is within `CLOSE` of the target; the reference, `start`, is not."""
+
+    of: Once
+    start: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.of.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self.of.units
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        value = self.of(mesh)
+        if close(value[0], self.start):
+            raise Reached
+        return value
+
+
+def close(value: float, start: float) -> bool:
+    """Whether drag is as far below that of the reference as is asked."""
+    return bool(abs(value - (1 - CUT) * start) <= CLOSE * start)
 
 
 def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> Row:
-    """Evaluations that one way takes for one case."""
+    """Evaluations that one way takes for one case; None where it does not come close."""
 
     def make() -> Row:
         bench, bank = studies.bench, studies.bank
-        drag = Once(studies.drag)
         start = float(studies.reference(reference)["drag"])
-        asked = lampopt.Study(
-            bank, keep=held, reference=bank.names[reference], measures={"truth": drag}, resolution=bench.resolution
-        )
-        before = 0
+        drag = Once(studies.drag)
+        asked = lampopt.Study(bank, keep=held, reference=bank.names[reference], resolution=bench.resolution)
+        goal = lampopt.Reduce("drag", by=CUT)
+        if name == "active":
+            asked = replace(asked, measures={"truth": drag}, objective=replace(goal, name="truth.drag"))
+            trials = lampopt.active(asked, budget=BUDGET, tolerance=CLOSE, plugins=bench.plugins).trials
+            there = [k for k, trial in enumerate(trials, 1) if np.isfinite(trial.predicted)]  # no exemplars
+            return {"evaluations": next((k for k in there if close(trials[k - 1].value, start)), None)}
+        asked = replace(asked, measures={"truth": Until(drag, start)})
         if name == "label, then solve":
             before = len(bank) - 1  # the reference is measured again
-            goal = lampopt.Reduce("drag", by=CUT)
-            lampopt.run(
-                replace(asked, objective=goal, measured={"drag": "truth.drag"}, turns=20), plugins=bench.plugins
-            )
-        elif name == "active":
-            goal = lampopt.Reduce("truth.drag", by=CUT)
-            lampopt.active(replace(asked, objective=goal), budget=BUDGET, tolerance=CLOSE, plugins=bench.plugins)
+            asked = replace(asked, objective=goal, measured={"drag": "truth.drag"}, turns=TURNS)
         else:
-            solver = lampopt.Spec("nlopt", algorithm="cobyla", evaluations=BUDGET)
-            target = {"truth.drag": (1 - CUT) * start}
             before = 1  # the reference tells the target
-            lampopt.run(replace(asked, targets=target, hard=held, solver=solver), plugins=bench.plugins)
-        return {"evaluations": until(drag, start, before)}
+            solver = lampopt.Spec("nlopt", algorithm="cobyla", evaluations=BUDGET)
+            asked = replace(asked, targets={"truth.drag": (1 - CUT) * start}, hard=held, solver=solver)
+        try:
+            lampopt.run(asked, plugins=bench.plugins)
+        except Reached:
+            return {"evaluations": before + len(drag.known)}
+        return {"evaluations": None}
 
     known = studies.known(name, reference, list(held), BUDGET, CLOSE, source(sys.modules[__name__]))
     return studies.bench.scores.get(known, make)
 
 
-def table(studies: Studies, count: int) -> Row:
+def of_flow(bench: Bench, workers: int) -> Studies:
+    """The cars of `make drag`, labelled as its seed 0 was; drag is OpenFOAM's on the same placements of the grid."""
+    module_at(EXAMPLE / "picture.py")  # which the example imports
+    example = module_at(EXAMPLE / "drag.py")
+    cars = example.cached(example.family(bench.cache / "cars", EXEMPLARS, 0, EDGE_MM), EXAMPLE / "labels.csv")
+    flow = lampopt.Spec("openfoam-drag", **LABELLED, workers=workers, folder=str((bench.cache / "flows").absolute()))
+    drag = Some(bench.plugins.make("measure", flow), ("drag",))
+    code: list[object] = ["flow", LABELLED]
+    return Studies(bench, bench.bank("cars", cars, bench.decoder), drag, bench.plugins.make("measure", "extents"), code)
+
+
+def table(studies: Studies, chosen: Sequence[tuple[int, tuple[str, ...]]]) -> Row:
     """Medians over the cases by way, and how many came close."""
-    names, bench = [q.name for q in studies.bank.space], studies.bench
+    bench, count = studies.bench, len(chosen)
     lines = []
-    chosen = cases(count, len(studies.bank), names, bench.seed)
     for name in WAYS:
         with bench.stage(name) as tell:
             rows = []
             for number, (reference, held) in enumerate(chosen):
                 tell(number / count)
                 rows.append(way(studies, name, reference, held)["evaluations"])
+                bench.console.print(f"[dim]{name}, case {number + 1}: {rows[-1]}[/dim]", highlight=False)
         found = [row for row in rows if row is not None]
         middle = float(np.median([np.inf if row is None else row for row in rows]))
         lines.append(line(f"{name}: evaluations, median", middle, of=len(rows), by={"came close": len(found)}))
@@ -88,24 +132,35 @@ def table(studies: Studies, count: int) -> Row:
 def main(given: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.active", description=__doc__)
     parser.add_argument("--body", default="Hybrid", help="of the judge's")
-    parser.add_argument("--cases", type=int, default=CASES)
+    parser.add_argument("--cases", type=int, help=f"by default {CASES}, with --flow {FLOW_CASES}")
+    parser.add_argument("--flow", action="store_true", help="drag by OpenFOAM, of the cars of examples/drag")
+    parser.add_argument("--workers", type=int, default=2, help="flows at a time")
     options(parser, decoder="mesh-template")
     parser.add_argument("--quick", action="store_true", help="does it run at all; no figures to quote")
     args = parser.parse_args(given)
-    talk = Console(stderr=True)
+    talk, body = Console(stderr=True), "flow" if args.flow else args.body
     try:
         bench = Bench.of(args, talk)
         with threads(args.threads):
-            found = table(of_body(Body(bench, judge_at(args.judge), args.body), notes := []), args.cases)
+            notes = list[str]()
+            if args.flow:
+                studies, count = of_flow(bench, args.workers), args.cases or FLOW_CASES
+                chosen = [(reference, HELD) for reference, _ in cases(count - 1, len(studies.bank), HELD, args.seed)]
+                chosen = [(studies.bank.names.index("base"), HELD), *chosen]
+            else:
+                studies = of_body(Body(bench, judge_at(args.judge), args.body), notes)
+                names = [q.name for q in studies.bank.space]
+                chosen = cases(args.cases or CASES, len(studies.bank), names, args.seed)
+            found = table(studies, chosen)
         found["notes"] += notes
         if not args.json:
-            show(Console(), f"{args.body}, {args.decoder}", found)
+            show(Console(), f"{body}, {args.decoder}", found)
     except LampoptError as error:
         talk.print(f"[bold red]error[/bold red] {error}", highlight=False)
         return 2
-    settings = {"decoder": args.decoder, "seed": args.seed, "resolution": args.resolution, "cases": args.cases}
-    document = stamped("active", body=args.body, **settings) | {"tables": {"evaluations": found}}
-    put(document | {"seconds": bench.seconds}, args.out and args.out / f"active-{args.body}.json", out=args.json)
+    settings = {"decoder": args.decoder, "seed": args.seed, "resolution": args.resolution, "cases": len(chosen)}
+    document = stamped("active", body=body, **settings) | {"tables": {"evaluations": found}}
+    put(document | {"seconds": bench.seconds}, args.out and args.out / f"active-{body}.json", out=args.json)
     return 0
 
 

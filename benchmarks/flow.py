@@ -79,7 +79,14 @@ def told(solve: Callable[[], Any], **row: Any) -> Row:
 def ahmed(args: argparse.Namespace, _: ModuleType) -> list[Row]:
     rows = []
     for level in args.levels:
-        made = drag(args.cache, level=level, placements=args.placements, ground="fixed", clearance=UNDER / LENGTH)
+        made = drag(
+            args.cache,
+            level=level,
+            workers=args.workers,
+            placements=args.placements,
+            ground="fixed",
+            clearance=UNDER / LENGTH,
+        )
         for slant, experiment in EXPERIMENT.items():
             mesh = load_mesh(AHMED / f"ahmed_{slant}.stl")
             rows.append(told(lambda made=made, mesh=mesh: made.solve(mesh), name=f"{slant} deg", level=level))
@@ -92,7 +99,7 @@ def repeatability(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     rows = []
     for level in args.levels:
         for name in args.bodies:
-            made = drag(args.cache, level=level, placements=args.placements)
+            made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
             rows.append(told(lambda made=made, name=name: made.solve(judge.body(name)), name=name, level=level))
             args.tell(rows[-1])
     return rows
@@ -102,7 +109,7 @@ def pairs(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     """One parameter changed at a time: what is told from how many placements."""
     rows = []
     for level in args.levels:
-        made = drag(args.cache, level=level, placements=args.placements)
+        made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
         for name in args.bodies:
             base = judge.body(name)
             for parameter, by in CHANGES.items():
@@ -157,7 +164,7 @@ def hostile(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     """Meshes with something wrong: cleaned with a note, or refused; drag beside that of the mesh as it should be."""
     rows = []
     for level in args.levels:
-        made = drag(args.cache, level=level, placements=args.placements)
+        made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
         good: list[float] = []
         for name, mesh in spoilt(judge.body(args.bodies[0])).items():
             rows.append(told(lambda mesh=mesh, made=made: made.solve(mesh), name=name, level=level))
@@ -277,6 +284,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--levels", default="coarse", help="coarse, medium, fine, separated by commas")
     parser.add_argument("--bodies", default="Hybrid", help="of the judge, separated by commas")
     parser.add_argument("--placements", type=int, default=3)
+    parser.add_argument("--workers", type=int, default=1, help="flows at a time")
     parser.add_argument("--small", type=Path, help="outcomes: a folder on a disk of some 100 MB, to be filled up")
     parser.add_argument("--cache", type=Path, default=Path("runs/flows"), help="where flows are kept")
     parser.add_argument("--judge", help="folder of judge.py (../shared/judge beside the repository)")
