@@ -145,8 +145,8 @@ def main(given: Sequence[str] | None = None) -> int:
             notes = list[str]()
             if args.flow:
                 studies, count = of_flow(bench, args.workers), args.cases or FLOW_CASES
-                chosen = [(reference, HELD) for reference, _ in cases(count - 1, len(studies.bank), HELD, args.seed)]
-                chosen = [(studies.bank.names.index("base"), HELD), *chosen]
+                base, draw = studies.bank.names.index("base"), np.random.default_rng(args.seed)
+                chosen = [(k, HELD) for k in (base, *draw.permutation(len(studies.bank))[: count - 1].tolist())]
             else:
                 studies = of_body(Body(bench, judge_at(args.judge), args.body), notes)
                 names = [q.name for q in studies.bank.space]

@@ -21,7 +21,9 @@ from lampopt.plugins import Plugins
 from lampopt.testing import decoder_checks, shapes
 from lampopt.topology import topology
 from lampopt_sdf import training
+from lampopt_sdf.half import HalfPass, native
 from lampopt_sdf.network import BLOCK, Network, Pass, evaluate
+from lampopt_sdf.optimizer import Optimizer, orthogonal
 from lampopt_sdf.samples import draw, on_surface
 from lampopt_sdf.sdf_mlp import SdfMlp
 
@@ -266,6 +268,128 @@ def test_sine_learns_it_too():
     assert decoder.fit(shared, [BALL], seed=0)[1][0] < 0.004
 
 
+# How weights step.
+
+
+def test_orthogonal_turns_all_directions_alike():
+    matrices = torch.tensor(np.random.default_rng(0).normal(size=(3, 24, 24)) * [[[1e-6]], [[1.0]], [[1e6]]]).float()
+    for precision in (torch.float32, torch.bfloat16):
+        found = orthogonal(matrices, precision).float()
+        sizes = torch.linalg.svdvals(found)
+        assert float(sizes[:, :-3].min()) > 0.6  # the least of a square matrix are too small to come up in five rounds
+        assert float(sizes.max()) < 1.3
+        nearest = [torch.linalg.svd(matrix) for matrix in matrices]
+        for one, (left, _, right) in zip(found, nearest, strict=True):
+            along = torch.diagonal(left.T @ one @ right.T)  # its singular directions are kept
+            assert float(along[:-3].min()) > 0.5
+    assert not orthogonal(torch.zeros(1, 4, 4)).any()
+
+
+@pytest.mark.parametrize("depth", [1, 3])
+def test_without_reach_every_weight_takes_adams_step(depth):
+    network, draw = Network(6, depth, 1, "relu"), np.random.default_rng(0)
+    weights = torch.tensor(draw.normal(size=(2, network.size))).float()
+    gradients = torch.tensor(draw.normal(size=(4, 2, network.size))).float()
+    leaf = weights.clone().requires_grad_()
+    adam = torch.optim.Adam([leaf], lr=0.01, betas=(0.9, 0.99), eps=1e-10)
+    weights.grad = torch.zeros_like(weights)
+    optimizer = Optimizer(network, weights, reach=0.0 if depth > 1 else 0.3)  # there is nothing hidden to turn
+    for gradient in gradients:
+        leaf.grad = gradient.clone()
+        adam.step()
+        weights.grad.copy_(gradient)
+        optimizer.step(0.01)
+    np.testing.assert_allclose(weights, leaf.detach(), rtol=1e-5, atol=1e-6)
+
+
+def test_orthogonal_steps_are_of_hidden_matrices_alone():
+    network, draw = Network(6, 3, 1, "relu"), np.random.default_rng(0)
+    weights = torch.tensor(draw.normal(size=(2, network.size))).float()
+    gradient = torch.tensor(draw.normal(size=(2, network.size))).float()
+    stepped = {}
+    for reach in (0.0, 0.5):
+        own = weights.clone()
+        own.grad = gradient.clone()
+        Optimizer(network, own, reach=reach).step(0.01)
+        stepped[reach] = network.layers(own)
+    for k, (before, adam, muon) in enumerate(zip(network.layers(weights), *stepped.values(), strict=True)):
+        np.testing.assert_array_equal(adam[1], muon[1])
+        if k in (0, 3):
+            np.testing.assert_array_equal(adam[0], muon[0])
+        else:
+            wanted = orthogonal(network.layers(gradient)[k][0]) * (0.01 * 0.5 * 6**0.5)
+            np.testing.assert_allclose(before[0] - muon[0], wanted, atol=1e-6)
+
+
+def test_those_that_go_on_keep_their_momentum():
+    network, draw = Network(6, 3, 1, "relu"), np.random.default_rng(0)
+    gradients = torch.tensor(draw.normal(size=(4, 3, network.size))).float()
+    whole, keep = torch.tensor(draw.normal(size=(3, network.size))).float(), torch.tensor([True, False, True])
+    whole.grad = torch.zeros_like(whole)
+    all_three, two = Optimizer(network, whole, reach=0.2), None
+    for k, gradient in enumerate(gradients):
+        if k == 2:
+            some = whole[keep]
+            some.grad = torch.zeros_like(some)
+            two = all_three.only(keep, some)
+        if two is not None:
+            some.grad.copy_(gradient[keep])
+            two.step(0.01)
+        whole.grad.copy_(gradient)
+        all_three.step(0.01)
+    np.testing.assert_allclose(some, whole[keep], atol=1e-5)
+
+
+@pytest.mark.parametrize("points", [7, BLOCK])
+@pytest.mark.parametrize("network", [Network(16, 3, 2, "relu"), Network(5, 1, 3, "relu")], ids=str)
+def test_half_the_bits_give_nearly_the_same_values_and_directions(network, points):
+    draw = np.random.default_rng(0)
+    weights = torch.tensor(np.stack([network.initial(draw) for _ in range(3)]))
+    features = network.features(torch.tensor(draw.uniform(-1, 1, (3, points, 3))).float())
+    given = torch.tensor(draw.normal(size=(3, points, 1))).float()
+    values, sums = [], []
+    for kind in (Pass, HalfPass):
+        found, run, layers = torch.ones_like(weights), kind(network, 3, CPU), network.layers(weights)
+        values.append(run.forward(layers, features))
+        run.backward(layers, network.layers(found), features, given.clone())
+        sums.append(found - 1)
+    assert float((values[1] - values[0]).abs().max()) < 0.02 * float(values[0].abs().max())
+    for exact, rough in zip(network.layers(sums[0]), network.layers(sums[1]), strict=True):
+        for one, other in zip(exact, rough, strict=True):
+            assert float((one - other).norm()) < 0.06 * float(one.norm())  # a step's direction within 3.5 degrees
+
+
+@pytest.mark.parametrize("optimizer", ["muon", "adam"])
+def test_half_the_bits_lose_nothing(optimizer):
+    errors = []
+    for precision in ("float32", "bfloat16"):
+        decoder = replace(SdfMlp.example(), optimizer=optimizer, precision=precision)
+        shared = decoder.prepare([BALL, BRICK], mean=BALL, seed=0)
+        errors.append(decoder.fit(shared, [BALL, BRICK], seed=0)[1].mean())
+    assert errors[1] < 1.15 * errors[0]
+
+
+def test_orthogonal_steps_stay_nearer_to_the_start_at_the_same_error(start):
+    errors, away = [], []
+    for optimizer in ("adam", "muon"):
+        weights, error = replace(TINY, optimizer=optimizer, precision="float32").fit(start, [EGG, BRICK], seed=0)
+        errors.append(error.mean())
+        away.append(np.linalg.norm(weights - start["start"], axis=1).mean())
+    assert errors[1] < 1.25 * errors[0]
+    assert away[1] < 0.7 * away[0]
+
+
+def test_bfloat16_is_taken_where_the_processor_knows_it(monkeypatch):
+    for capable, wanted in (({"avx512_bf16": True}, True), ({"amx_bf16": True}, True), ({"avx512_f": True}, False)):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda capable=capable: capable)
+        assert native(CPU) is wanted
+        assert SdfMlp()._half() is wanted
+        assert not SdfMlp(activation="sine")._half()
+        assert SdfMlp(precision="bfloat16")._half()
+        assert not SdfMlp(precision="float32")._half()
+    assert not native(torch.device("meta"))
+
+
 def test_training_lowers_the_error(start, fitted):
     short = replace(TINY, steps=5).fit(start, [BRICK], seed=0)[1][0]
     assert fitted[1][1] < 0.3 * short
@@ -313,7 +437,9 @@ def test_a_finished_exemplar_stops_and_leaves_the_others(start, monkeypatch):
     sizes = []
     step = training._Batch.step
     monkeypatch.setattr(
-        training._Batch, "step", lambda self, *given: sizes.append(len(self.weights)) or step(self, *given)
+        training._Batch,
+        "step",
+        lambda self, *given, **how: sizes.append(len(self.weights)) or step(self, *given, **how),
     )
     stopped, reached = replace(TINY, tolerance=between).fit(start, meshes, seed=0)
     assert sizes == sorted(sizes, reverse=True) and {*sizes} == {2, 1}  # it costs no more steps
@@ -378,6 +504,9 @@ def test_no_shared_start_ignores_the_mean():
         ({"points": 0}, "points: expected at least 1"),
         ({"samples": 10, "points": 20}, "samples: expected at least as many as points"),
         ({"activation": "tanh"}, "activation: expected one of relu, sine, got 'tanh'"),
+        ({"optimizer": "sgd"}, "optimizer: expected one of muon, adam, got 'sgd'"),
+        ({"precision": "float16"}, "precision: expected one of auto, float32, bfloat16, got 'float16'"),
+        ({"precision": "bfloat16", "activation": "sine"}, "precision: a sine of bfloat16 is noise"),
         ({"learning_rate": -1.0}, "learning_rate"),
         ({"tolerance": 1.0}, "tolerance"),
         ({"tolerance": float("nan")}, "tolerance"),

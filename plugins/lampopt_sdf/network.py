@@ -18,6 +18,7 @@ import torch
 
 from lampopt.types import Array
 
+Layers = list[tuple[torch.Tensor, torch.Tensor]]  # matrices (n, in, out), biases (n, 1, out)
 BLOCK = 1024  # points that go through the layers together: activations of a batch stay in the cache
 
 
@@ -55,7 +56,7 @@ class Network:
                 parts += [np.zeros(b) if last else rng.uniform(-1, 1, b) * (0.5 if k == 0 else 0.1)]
         return np.concatenate([p.ravel() for p in parts]).astype(np.float32)
 
-    def layers(self, weights: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    def layers(self, weights: torch.Tensor) -> Layers:
         """Views (n, in, out) and (n, 1, out) of `weights` (n, D)."""
         found, at = [], 0
         for a, b in self.shapes:
@@ -88,7 +89,7 @@ class Pass:
         self._after = [torch.empty(shape, device=device) for _ in self._before] if sine else self._before
         self._back = [torch.empty(shape, device=device) for _ in range(2)]
 
-    def forward(self, layers: list[tuple[torch.Tensor, torch.Tensor]], features: torch.Tensor) -> torch.Tensor:
+    def forward(self, layers: Layers, features: torch.Tensor) -> torch.Tensor:
         """Values (n, m, 1) at features (n, m, F), m ≤ BLOCK."""
         hidden = features
         for k, (matrix, bias) in enumerate(layers[:-1]):
@@ -103,8 +104,8 @@ class Pass:
 
     def backward(
         self,
-        layers: list[tuple[torch.Tensor, torch.Tensor]],
-        gradients: list[tuple[torch.Tensor, torch.Tensor]],
+        layers: Layers,
+        gradients: Layers,
         features: torch.Tensor,
         gradient: torch.Tensor,
     ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,10 +21,13 @@ if TYPE_CHECKING:
     from lampopt_sdf.network import Network
     from lampopt_sdf.training import Samples
 
-RATES = {"relu": 2e-3, "sine": 2e-4}  # first learning rate of Adam for an exemplar
+RATES = {"relu": 2e-3, "sine": 2e-4}  # first learning rate for an exemplar
+# Of weights that start at random and of those that start at the shared ones: times that rate, and reach of orthogonal
+# steps. What moves little from the start stays aligned with what else does.
+FRESH, FROM_START = {"muon": (2.5, 0.2), "adam": (1.5, 0.0)}, {"muon": (1.0, 0.05), "adam": (1.0, 0.0)}
+PRECISIONS = ("auto", "float32", "bfloat16")
 START, PROBES, ORDER, POINTS = range(4)  # streams of random numbers, none of which repeats another
 STEEP = 0.1  # slope of the field below which a surface point's motion is not told by it; a distance has 1
-FRESH = 1.5  # times that for weights that start at random
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,13 @@ class SdfMlp:
         Points an exemplar sees in one step.
     samples
         Points drawn about each exemplar, once.
+    optimizer
+        "muon": orthogonal steps of hidden layers, Adam's of the rest; or "adam" (the paper's) throughout.
+    precision
+        "auto": most steps in bfloat16 where the processor has instructions for it and the activation is "relu";
+        "bfloat16", "float32".
     learning_rate
-        Adam's first, for exemplars; the shared start takes FRESH times that. 0: what suits the activation.
+        The first, for exemplars; the shared start takes more of it. 0: what suits the activation.
     tolerance
         Mean surface error at which an exemplar is finished [box]; 0: never before `steps`.
     shared_start
@@ -63,9 +71,11 @@ class SdfMlp:
     octaves: int = 2
     activation: str = "relu"
     start_steps: int = 3000
-    steps: int = 500
-    points: int = 4096
+    steps: int = 600
+    points: int = 1024
     samples: int = 100_000
+    optimizer: str = "muon"
+    precision: str = "auto"
     learning_rate: float = 0.0
     tolerance: float = 1e-4
     shared_start: bool = True
@@ -85,6 +95,11 @@ class SdfMlp:
                 raise InputError(f"{name}: expected at least {least}, got {getattr(self, name)}")
         if self.activation not in RATES:
             raise InputError(f"activation: expected one of {', '.join(RATES)}, got {self.activation!r}")
+        for name, known in (("optimizer", tuple(FRESH)), ("precision", PRECISIONS)):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
+        if self.precision == "bfloat16" and self.activation == "sine":
+            raise InputError("precision: a sine of bfloat16 is noise: take float32 with activation='sine'")
         if self.samples < self.points:
             raise InputError(f"samples: expected at least as many as points ({self.points}), got {self.samples}")
         if not (0 <= self.learning_rate < 1 and 0 <= self.tolerance < 1):
@@ -114,7 +129,7 @@ class SdfMlp:
         """Weights (n, D) and mean surface errors (n,) [box] of a batch, in batched matrix products."""
         if self.shared_start:
             start = np.repeat(self._checked(shared)[None], len(meshes), 0)
-            return self._train(start, meshes, seed, self.steps, 1.0, progress)
+            return self._train(start, meshes, seed, self.steps, FROM_START, progress)
         start = np.stack([self._network().initial(np.random.default_rng(_own(seed, m, START))) for m in meshes])
         return self._train(start, meshes, seed, self.start_steps + self.steps, FRESH, progress)
 
@@ -182,6 +197,14 @@ class SdfMlp:
                 raise InputError(f"device: {self.device!r} cannot be used here: {error}") from error
             return torch.device("cpu")
 
+    def _half(self) -> bool:
+        """Whether to fit in bfloat16 where it suffices."""
+        from lampopt_sdf.half import native
+
+        if self.precision == "auto":
+            return self.activation == "relu" and native(self._device())
+        return self.precision == "bfloat16"
+
     def _checked(self, shared: Shared) -> Array:
         size = self._network().size
         if "start" not in shared or shared["start"].shape != (size,):
@@ -191,12 +214,18 @@ class SdfMlp:
         return np.asarray(shared["start"], np.float32)
 
     def _train(
-        self, start: Array, meshes: Sequence[Trimesh], seed: int, steps: int, hurry: float, progress: Progress | None
+        self,
+        start: Array,
+        meshes: Sequence[Trimesh],
+        seed: int,
+        steps: int,
+        pace: Mapping[str, tuple[float, float]],
+        progress: Progress | None,
     ) -> tuple[Array, Array]:
         from lampopt_sdf.training import train
 
         # The same draws for every exemplar keep their weights aligned (paper, appendix F: same seed beats own seeds).
-        own = self.seed_per_exemplar
+        own, (hurry, reach) = self.seed_per_exemplar, pace[self.optimizer]
         orders = [np.random.default_rng(_own(seed, m, ORDER)) for m in meshes] if own else []
         return train(
             self._network(),
@@ -207,6 +236,8 @@ class SdfMlp:
             points=self.points,
             rate=hurry * (self.learning_rate or RATES[self.activation]),
             tolerance=self.tolerance,
+            reach=reach,
+            half=self._half(),
             progress=progress,
         )
 

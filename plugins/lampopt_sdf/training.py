@@ -1,4 +1,4 @@
-"""Fit n networks at once: Adam on the stacked weights, one learning-rate schedule, the same order of points for all."""
+"""Fit n networks at once: stacked weights, one learning-rate schedule, the same order of points for all."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import torch
 
 from lampopt.protocols import Progress
 from lampopt.types import Array
-from lampopt_sdf.network import BLOCK, Network, Pass
+from lampopt_sdf.half import HalfPass
+from lampopt_sdf.network import BLOCK, Layers, Network, Pass
+from lampopt_sdf.optimizer import Optimizer
 
 WARM_UP = 50  # steps
 NEAR = 0.05  # distance at which a point weighs half of one on the surface [box]
 LOOK = 50  # steps between looks at the reached error
+ROUGHLY = 0.8  # share of the steps whose direction may be worked out in bfloat16
 CROWDED = 0.75  # share of a batch that goes on, at most, when the finished ones leave it
 
 
@@ -37,13 +40,15 @@ def train(
     points: int,
     rate: float,
     tolerance: float,
+    reach: float,
+    half: bool,
     progress: Progress | None,
 ) -> tuple[Array, Array]:
     """Weights (n, D) and mean distance on the surface (n,) after at most `steps` steps from `start` (n, D).
 
     The loss is |f − d| / (1 + |d| / NEAR): near points count, and no gradient is lost to a clamped prediction. An
     exemplar whose error falls to `tolerance` is finished and stays as it is. `orders` is one generator for all
-    exemplars, or one each.
+    exemplars, or one each. `reach` is as of `Optimizer`; with `half` most steps are worked out in bfloat16.
     """
     with torch.no_grad():
         given, distances = _shuffled(samples, orders)
@@ -51,12 +56,16 @@ def train(
         surface = network.features(samples.surface)
         look = surface[:, :: max(1, surface.shape[1] // BLOCK)]  # the points lie in face order: take some of all
         finished = torch.tensor(start, dtype=torch.float32, device=given.device)
-        batch = _Batch.of(network, finished.clone(), features, distances, look)
+        weights = finished.clone()
+        weights.grad = torch.zeros_like(weights)
+        optimizer = Optimizer(network, weights, reach=reach)
+        batch = _Batch.of(network, weights, optimizer, features, distances, look)
         left = torch.arange(len(finished), device=given.device)  # whom the batch's rows belong to
         count = distances.shape[1]
         for step in range(steps):
             first = step % (count // points) * points
-            batch.step(first, points, rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + cos(pi * step / steps)))
+            pace = rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + cos(pi * step / steps))
+            batch.step(first, points, pace, half=half and step < ROUGHLY * steps)
             if tolerance > 0 and (step + 1) % LOOK == 0:
                 fresh = batch.running & (batch.error() <= tolerance)
                 finished[left[fresh]] = batch.weights[fresh]
@@ -79,8 +88,9 @@ class _Batch:
     """Networks that are trained together, with all that they see; `running` are those that are not finished."""
 
     run: Pass
+    half: HalfPass
     weights: torch.Tensor
-    optimizer: torch.optim.Adam
+    optimizer: Optimizer
     features: torch.Tensor
     distances: torch.Tensor
     look: torch.Tensor
@@ -91,29 +101,28 @@ class _Batch:
         cls,
         network: Network,
         weights: torch.Tensor,
+        optimizer: Optimizer,
         features: torch.Tensor,
         distances: torch.Tensor,
         look: torch.Tensor,
     ) -> _Batch:
-        weights.grad = torch.zeros_like(weights)
-        optimizer = torch.optim.Adam([weights], betas=(0.9, 0.99), eps=1e-10)
         running = torch.ones(len(weights), dtype=torch.bool, device=weights.device)
         run = Pass(network, len(weights), weights.device)
-        return cls(run, weights, optimizer, features, distances, look, running)
+        half = HalfPass(network, len(weights), weights.device)
+        return cls(run, half, weights, optimizer, features, distances, look, running)
 
-    def step(self, first: int, points: int, rate: float) -> None:
-        """One step of Adam on `points` points from the `first`."""
+    def step(self, first: int, points: int, rate: float, *, half: bool) -> None:
+        """One step on `points` points from the `first`, its direction in bfloat16 with `half`."""
         assert self.weights.grad is not None
+        run: Pass | HalfPass = self.half if half else self.run
         self.weights.grad.zero_()
         layers, gradients = self.run.network.layers(self.weights), self.run.network.layers(self.weights.grad)
         for at in range(first, first + points, BLOCK):
             part = slice(at, min(at + BLOCK, first + points))
             true = self.distances[:, part]
-            off = self.run.forward(layers, self.features[:, part]).sub_(true).sign_()
-            self.run.backward(layers, gradients, self.features[:, part], off.div_((1 + true.abs() / NEAR) * points))
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        self.optimizer.step()
+            off = run.forward(layers, self.features[:, part]).sub_(true).sign_()
+            run.backward(layers, gradients, self.features[:, part], off.div_((1 + true.abs() / NEAR) * points))
+        self.optimizer.step(rate, half=half)
 
     def error(self) -> torch.Tensor:
         """(n,) mean distance on some of the surface points."""
@@ -121,13 +130,10 @@ class _Batch:
 
     def only(self, keep: torch.Tensor) -> _Batch:
         """Those that `keep` (n,) says, as far as they are: the finished ones cost no more."""
+        weights = self.weights[keep]
+        weights.grad = torch.zeros_like(weights)
         seen = (part[keep] for part in (self.features, self.distances, self.look))
-        found = _Batch.of(self.run.network, self.weights[keep], *seen)
-        (state,) = self.optimizer.state.values()
-        found.optimizer.state[found.weights] = {
-            name: value if value.ndim == 0 else value[keep] for name, value in state.items()
-        }
-        return found
+        return _Batch.of(self.run.network, weights, self.optimizer.only(keep, weights), *seen)
 
 
 def _shuffled(samples: Samples, orders: list[np.random.Generator]) -> tuple[torch.Tensor, torch.Tensor]:
@@ -140,7 +146,7 @@ def _shuffled(samples: Samples, orders: list[np.random.Generator]) -> tuple[torc
     return samples.points[rows, order], samples.distances[rows, order].unsqueeze(-1)
 
 
-def _error(run: Pass, layers: list[tuple[torch.Tensor, torch.Tensor]], surface: torch.Tensor) -> torch.Tensor:
+def _error(run: Pass, layers: Layers, surface: torch.Tensor) -> torch.Tensor:
     """(n,) mean |f| at features (n, Q, F) of points on the true surfaces."""
     total = torch.zeros(len(surface), device=surface.device)
     for at in range(0, surface.shape[1], BLOCK):
