@@ -376,7 +376,7 @@ def test_orthogonal_steps_stay_nearer_to_the_start_at_the_same_error(start):
         errors.append(error.mean())
         away.append(np.linalg.norm(weights - start["start"], axis=1).mean())
     assert errors[1] < 1.25 * errors[0]
-    assert away[1] < 0.7 * away[0]
+    assert away[1] < 0.85 * away[0]
 
 
 def test_bfloat16_is_taken_where_the_processor_knows_it(monkeypatch):
