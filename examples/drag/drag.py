@@ -71,7 +71,7 @@ def main():
         "--level", default="coarse", choices=["coarse", "medium", "fine"], help="of the flows that are searched with"
     )
     parser.add_argument("--placements", type=int, default=3, help="of the grid, for each exemplar")
-    parser.add_argument("--closing", type=int, default=8, help="placements in the closed loop")
+    parser.add_argument("--closing", type=int, default=16, help="placements in the closed loop")
     parser.add_argument("--fresh", type=int, default=8, help="placements that design and reference are solved on anew")
     parser.add_argument("--finer", action="store_true", help="and again one level finer")
     parser.add_argument("--turns", type=int, default=3, help="corrections of the ask")

@@ -59,7 +59,7 @@ def train(
         weights = finished.clone()
         weights.grad = torch.zeros_like(weights)
         optimizer = Optimizer(network, weights, reach=reach)
-        batch = _Batch.of(network, weights, optimizer, features, distances, look)
+        batch = _Batch.of(network, weights, optimizer, features, distances, look, half=half)
         left = torch.arange(len(finished), device=given.device)  # whom the batch's rows belong to
         count = distances.shape[1]
         for step in range(steps):
@@ -88,7 +88,7 @@ class _Batch:
     """Networks that are trained together, with all that they see; `running` are those that are not finished."""
 
     run: Pass
-    half: HalfPass
+    half: HalfPass | None
     weights: torch.Tensor
     optimizer: Optimizer
     features: torch.Tensor
@@ -105,16 +105,18 @@ class _Batch:
         features: torch.Tensor,
         distances: torch.Tensor,
         look: torch.Tensor,
+        *,
+        half: bool,
     ) -> _Batch:
         running = torch.ones(len(weights), dtype=torch.bool, device=weights.device)
         run = Pass(network, len(weights), weights.device)
-        half = HalfPass(network, len(weights), weights.device)
-        return cls(run, half, weights, optimizer, features, distances, look, running)
+        rough = HalfPass(network, len(weights), weights.device) if half else None
+        return cls(run, rough, weights, optimizer, features, distances, look, running)
 
     def step(self, first: int, points: int, rate: float, *, half: bool) -> None:
         """One step on `points` points from the `first`, its direction in bfloat16 with `half`."""
         assert self.weights.grad is not None
-        run: Pass | HalfPass = self.half if half else self.run
+        run = self.half if half and self.half else self.run
         self.weights.grad.zero_()
         layers, gradients = self.run.network.layers(self.weights), self.run.network.layers(self.weights.grad)
         for at in range(first, first + points, BLOCK):
@@ -133,7 +135,9 @@ class _Batch:
         weights = self.weights[keep]
         weights.grad = torch.zeros_like(weights)
         seen = (part[keep] for part in (self.features, self.distances, self.look))
-        return _Batch.of(self.run.network, weights, self.optimizer.only(keep, weights), *seen)
+        return _Batch.of(
+            self.run.network, weights, self.optimizer.only(keep, weights), *seen, half=self.half is not None
+        )
 
 
 def _shuffled(samples: Samples, orders: list[np.random.Generator]) -> tuple[torch.Tensor, torch.Tensor]:
