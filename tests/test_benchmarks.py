@@ -229,7 +229,7 @@ def test_a_package_that_is_absent_is_said_before_anything_is_fitted(name, packag
     assert said == f"error {package} is not installed: pip install -c constraints.txt -e '.[bench]'"
 
 
-@pytest.mark.parametrize("name", ["warp", "registration", "sweeps"])
+@pytest.mark.parametrize("name", ["warp", "registration", "sweeps", "optimizers"])
 def test_without_the_judge_it_says_so(name, tmp_path, capsys):
     assert importlib.import_module(f"benchmarks.{name}").main(["--judge", str(tmp_path)]) == 2
     assert "--judge FOLDER" in capsys.readouterr().err
