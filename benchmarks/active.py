@@ -43,7 +43,7 @@ class Reached(KeyboardInterrupt):
 
 @dataclass(frozen=True, eq=False)
 class Until:
-    """Measure: what `of` says, until a design is within `CLOSE` of the target; the reference, `start`, is not."""
+    """Measure: what `of` says, until a design is close to the target; `start` is the reference's drag."""
 
     of: Once
     start: float
@@ -146,7 +146,8 @@ def main(given: Sequence[str] | None = None) -> int:
             if args.flow:
                 studies, count = of_flow(bench, args.workers), args.cases or FLOW_CASES
                 base, draw = studies.bank.names.index("base"), np.random.default_rng(args.seed)
-                chosen = [(k, HELD) for k in (base, *draw.permutation(len(studies.bank))[: count - 1].tolist())]
+                others = draw.permutation(np.delete(np.arange(len(studies.bank)), base))
+                chosen = [(k, HELD) for k in (base, *others[: count - 1].tolist())]
             else:
                 studies = of_body(Body(bench, judge_at(args.judge), args.body), notes)
                 names = [q.name for q in studies.bank.space]

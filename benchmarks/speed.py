@@ -38,12 +38,13 @@ from . import rivals
 from .body import Body, judge_at
 from .common import Bench, Row, options, threads
 from .document import put, show, stamped
+from .optimizers import ADAM
 
 T = TypeVar("T")
 ERROR_MM = 3.0  # mean surface error that banks are fitted to
 RIVAL_SHAPES = 1  # of the 24, on which a rival's steps are counted
 MOST_STEPS = 500  # of a rival, as inr2vec takes: one that is not there by then would take longer still
-BY_ADAM = {"optimizer": "adam", "precision": "float32", "steps": 500, "points": 4096}
+BY_ADAM = {**ADAM, "precision": "float32"}
 FINE = 256  # cells along the box of a mesh
 APART = 1e-4  # between the surfaces of both ways [box]
 STEP = 0.01  # of alpha, from one design of a search to the next
@@ -246,7 +247,7 @@ def neighbours(bench: Bench, args: argparse.Namespace) -> list[Row]:
     pairs = [(made(weights), decode(bank, decoder, weights, resolution=fine)) for weights in way]
     off = max(apart(one, other) for one, other in pairs) * bank.frame.scale
     far = max(apart(one, other) for (_, one), (_, other) in pairwise(pairs)) / car(bench, args).metre
-    ours, theirs = cycle([*way, *way[::-1]]), cycle(way)
+    ours, theirs = cycle([*way, *way[-2:0:-1]]), cycle(way)
     with bench.stage(f"neighbours at {fine}³"):
         race = Race.of(
             lambda: made(next(ours)),

@@ -99,7 +99,7 @@ def build_bank(
     path = path_of(store, "store") if store is not None else None
     report = looked_at(exemplars, accept, finished=path is not None and path.exists(), progress=progress)
     exemplars, facts = report.exemplars, report.facts
-    plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
+    plan = _plan(exemplars, facts, f"{made!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
     measured_by = {**exemplars.measured, **(measured or {})}
     if path is not None and path.exists():
         return _finished(path, plan, exemplars, measured_by, limits, plugins)

@@ -79,8 +79,10 @@ class Look:
 
     Parameters
     ----------
+    field
+        Checked, and going on beyond the box.
     clipped
-        The field within the box less half a cell, so that whatever reaches the box is closed there.
+        The same within the box less half a cell, so that whatever reaches the box is closed there.
     values
         The field itself at the coarse nodes.
     slope
@@ -90,6 +92,7 @@ class Look:
     """
 
     lattice: Lattice
+    field: Field
     clipped: Field
     values: Array
     slope: float
@@ -116,7 +119,7 @@ class Look:
         def clipped(points: Array) -> Array:
             return np.maximum(field(points), steep * walls(points, bounds, pitch))
 
-        return cls(lattice, clipped, values.reshape(count), slope, crossed)
+        return cls(lattice, field, clipped, values.reshape(count), slope, crossed)
 
     def found(self, cells: Array) -> bool:
         """Whether cells (n, 3) lie in every coarse cell that the sign changes in."""
@@ -125,18 +128,24 @@ class Look:
         return bool(active[:-1, :-1, :-1][self.crossed].all())
 
     def apart(self, other: Look, width: float) -> Array | None:
-        """How far the two fields may be apart, for each coarse cell.
+        """How far the two fields may be apart, for each coarse cell, seen from its corners and its centre.
 
-        None if that is more than `width` anywhere that this one may be no farther from zero than that.
+        None where they may be more than `width` apart in a cell that this one's surface is near to: no farther than
+        they are apart.
         """
         change = other.values - self.values  # a point is no more than half a cell along each axis from a corner
         between = SLOPE_MARGIN / 2 * sum(np.abs(np.diff(change, axis=k)).max() for k in range(3))
-        apart = np.asarray(_corners(np.abs(change)).max(0) + between)
-        close = _corners(np.abs(self.values)).min(0) - self.slope * sqrt(3) / 2 * self.lattice.step <= apart
-        return apart if (apart[close] <= width).all() else None
+        at_corners = _corners(change)
+        apart = np.asarray(np.abs(at_corners).max(0) + between)
+        near = _corners(np.abs(self.values)).min(0) - self.slope * sqrt(3) / 2 * self.lattice.step <= apart
+        centres = self.lattice.bounds[0] + self.lattice.step * (np.argwhere(near) + 0.5)
+        at_centres = other.field(centres) - self.field(centres)
+        unseen = np.abs(at_centres - at_corners[:, near].mean(0))  # by the corners: something small came or went
+        apart[near] = np.maximum(apart[near], np.abs(at_centres) + between) + unseen
+        return apart if (apart[near] <= width).all() else None
 
 
-def nothing(bounds: Array) -> EmptyMesh:
+def no_surface(bounds: Array) -> EmptyMesh:
     """What is raised where there is no surface."""
     return EmptyMesh(f"the field does not change sign in {bounds.tolist()}: there is no surface to extract")
 

@@ -192,7 +192,10 @@ class Follow(Protocol):
     """A decoder that makes meshes sooner of weights near those of the last one."""
 
     def follow(self, shared: Shared, *, resolution: int) -> Callable[[Array], Trimesh]:
-        """What turns one weight vector (D,) after another into the mesh that `decode` makes of it, but for rounding."""
+        """What turns one weight vector (D,) after another into the mesh that `decode` makes of it, but for rounding.
+
+        Threads may share it.
+        """
 
 
 @runtime_checkable

@@ -1,5 +1,6 @@
 """Fields to meshes: closed forms, the dense grid as reference, and a count of what was evaluated."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import igl
@@ -345,6 +346,24 @@ def test_a_band_sees_what_comes_up_far_away_and_goes_again(centre, radius):
         band.mesh(alone)
     assert topology(band.mesh(union(alone, ball(centre, radius)))).bodies == 2
     assert topology(band.mesh(alone)).bodies == 1
+
+
+def test_a_band_sees_what_comes_up_between_two_bodies():
+    # in a gap, in the middle of a coarse cell: its corners see next to nothing of it
+    middle = np.array([0.03125, 0.03125, 0.03125])
+    gap = union(*(block(middle + np.array([side * 0.23, 0, 0]), (0.2, 0.3, 0.3)) for side in (-1, 1)))
+    band = NarrowBand(BOX, 128)
+    for _ in range(3):
+        assert topology(band.mesh(gap)).bodies == 2
+    assert topology(band.mesh(union(gap, ball(middle, 0.0149)))).bodies == 3
+
+
+def test_threads_may_share_a_band():
+    fields = [moved(FIELDS[name][0], (0.002 * k, 0, 0)) for name in ("sphere", "torus") for k in range(8)]
+    band = NarrowBand(BOX, 48)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(band.mesh, fields))
+    assert all(same(mesh, field_to_mesh(field, BOX, 48)) for mesh, field in zip(found, fields, strict=True))
 
 
 @pytest.mark.parametrize("name", ["sphere", "torus", "thin plate", "two very different"])

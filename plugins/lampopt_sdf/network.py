@@ -129,13 +129,15 @@ def evaluate(network: Network, weights: Array, points: Array, device: torch.devi
     """Values (M,) of one weight vector (D,) at points (M, 3)."""
     with torch.no_grad():
         layers = network.layers(torch.as_tensor(np.array(weights, np.float32), device=device)[None])
-        given = torch.as_tensor(np.array(points, np.float32), device=device)
+        # Whole blocks: products of other sizes round otherwise, and a value would depend on the points beside it.
+        given = torch.zeros((-(-len(points) // BLOCK) * BLOCK, 3), device=device)
+        given[: len(points)] = torch.as_tensor(np.array(points, np.float32), device=device)
         run = Pass(network, 1, device)
         values = torch.empty(len(given), device=device)
         for start in range(0, len(given), BLOCK):
             block = network.features(given[start : start + BLOCK])[None]
             values[start : start + BLOCK] = run.forward(layers, block)[0, :, 0]
-        return np.asarray(values.cpu().numpy())
+        return np.asarray(values[: len(points)].cpu().numpy())
 
 
 def adjoint(network: Network, weights: Array, points: Array, gradient: Array, device: torch.device) -> Array:
