@@ -57,7 +57,7 @@ def build_bank(
     decoder
         Name, or Spec with options.
     seed
-        Same seed, same bank, bit for bit at equal thread count.
+        Same seed, same bank, bit for bit at equal thread count on one kind of processor.
     store
         The `.lamp` file to write. An interrupted build of the same inputs is resumed from beside it; a finished one
         is loaded.
