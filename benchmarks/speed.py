@@ -52,7 +52,8 @@ MANY, PARAMETERS, PROBES, TARGETS = 100, 26, 10_000, 10_000
 LARGE = (1000, 400_000)  # exemplars and weights of a large bank
 ANONYMOUS_MB = 300
 IMPORT_S = 0.3  # above numpy's
-LONG_S = 0.1  # that a timed run takes at least: threads that the other's run left spinning are gone by then
+LONG_S = 0.1  # that a timed run takes at least
+QUIET_S = 0.3  # before each: threads of BLAS that the other's run left spinning have gone to sleep by then
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +67,12 @@ class Race:
     def of(cls, ours: Callable[[], object], theirs: Callable[[], object], pairs: int) -> Race:
         """Each once to warm up, then `pairs` times in turn; what is short is repeated, as it is in use."""
         often = [max(1, min(50, int(LONG_S / clock(work)))) for work in (ours, theirs)]
-        seconds = [[clock(work, n) for work, n in zip((ours, theirs), often, strict=True)] for _ in range(pairs)]
-        return cls(*np.array(seconds).T)
+        seconds = np.empty((pairs, 2))
+        for pair in seconds:
+            for k, (work, repeats) in enumerate(zip((ours, theirs), often, strict=True)):
+                time.sleep(QUIET_S)
+                pair[k] = clock(work, repeats)
+        return cls(*seconds.T)
 
     @property
     def ratio(self) -> float:
