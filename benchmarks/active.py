@@ -42,22 +42,13 @@ class Reached(KeyboardInterrupt):
 
 
 @dataclass(frozen=True, eq=False)
-class Until:
-    """Measure: what `of` says, until a design is close to the target; `start` is the reference's drag."""
+class Until(Once):
+    """The same, until a design is close to the target; `start` is the reference's drag."""
 
-    of: Once
-    start: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self.of.names
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return self.of.units
+    start: float = float("nan")
 
     def __call__(self, mesh: Trimesh) -> Array:
-        value = self.of(mesh)
+        value = super().__call__(mesh)
         if close(value[0], self.start):
             raise Reached
         return value
@@ -74,15 +65,15 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
     def make() -> Row:
         bench, bank = studies.bench, studies.bank
         start = float(studies.reference(reference)["drag"])
-        drag = Once(studies.drag)
+        drag = Until(studies.drag, start=start)
         asked = lampopt.Study(bank, keep=held, reference=bank.names[reference], resolution=bench.resolution)
         goal = lampopt.Reduce("drag", by=CUT)
         if name == "active":
-            asked = replace(asked, measures={"truth": drag}, objective=replace(goal, name="truth.drag"))
+            asked = replace(asked, measures={"truth": Once(studies.drag)}, objective=replace(goal, name="truth.drag"))
             trials = lampopt.active(asked, budget=BUDGET, tolerance=CLOSE, plugins=bench.plugins).trials
             there = [k for k, trial in enumerate(trials, 1) if np.isfinite(trial.predicted)]  # no exemplars
             return {"evaluations": next((k for k in there if close(trials[k - 1].value, start)), None)}
-        asked = replace(asked, measures={"truth": Until(drag, start)})
+        asked = replace(asked, measures={"truth": drag})
         if name == "label, then solve":
             before = len(bank) - 1  # the reference is measured again
             asked = replace(asked, objective=goal, measured={"drag": "truth.drag"}, turns=TURNS)

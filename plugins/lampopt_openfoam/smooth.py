@@ -48,9 +48,7 @@ def smoothed(vertices: Array, faces: Array) -> Array:
 
     mesh, around = Trimesh(vertices, faces, process=False), _around(vertices, faces)
     for _ in range(ROUNDS):
-        filter_taubin(  # type: ignore[no-untyped-call]  # trimesh declares no types for it
-            mesh, lamb=SHRINK, nu=GROW, iterations=2, laplacian_operator=around
-        )
+        filter_taubin(mesh, lamb=SHRINK, nu=GROW, iterations=2, laplacian_operator=around)
         if roughness(mesh.vertices, faces, around) <= SMOOTH:
             break
     return np.array(mesh.vertices)
