@@ -11,7 +11,7 @@ import json
 import logging
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from math import isfinite
 from pathlib import Path
 
@@ -99,7 +99,8 @@ def build_bank(
     path = path_of(store, "store") if store is not None else None
     report = looked_at(exemplars, accept, finished=path is not None and path.exists(), progress=progress)
     exemplars, facts = report.exemplars, report.facts
-    plan = _plan(exemplars, facts, f"{made!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
+    chosen = made if is_dataclass(made) else spec  # which names every option, so that other defaults are another plan
+    plan = _plan(exemplars, facts, f"{chosen!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
     measured_by = {**exemplars.measured, **(measured or {})}
     if path is not None and path.exists():
         return _finished(path, plan, exemplars, measured_by, limits, plugins)

@@ -159,7 +159,10 @@ class _Seen:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """Cells (n, 3), the nodes (n, 8) at their corners, nodes' subscripts and points (m, 3) and values (m,)."""
+    """Cells (n, 3), the nodes (n, 8) at their corners, nodes' subscripts and points (m, 3) and values (m,).
+
+    `crossed` (k,) are the cells that the surface runs through.
+    """
 
     lattice: Lattice
     cells: Array
@@ -167,17 +170,16 @@ class _Surface:
     nodes: Array
     points: Array
     values: Array
+    crossed: Array
 
     def mesh(self) -> Trimesh:
         """Marching cubes on the cells that are crossed, in an order that tells nothing of how they were found."""
         import igl
         from trimesh import Trimesh
 
-        inside = (self.values < 0)[self.corners]
-        crossed = np.flatnonzero(inside.any(1) & ~inside.all(1))
-        if not len(crossed):
+        if not len(self.crossed):
             raise no_surface(self.lattice.bounds)
-        crossed = crossed[np.argsort(self.lattice.keys(self.cells[crossed]))]
+        crossed = self.crossed[np.argsort(self.lattice.keys(self.cells[self.crossed]))]
         used = np.zeros(len(self.values), bool)
         used[self.corners[crossed]] = True
         kept = np.flatnonzero(used)
@@ -244,7 +246,7 @@ def _closed(field: Field, cells: Array, lattice: Lattice) -> _Surface:
             added.append(neighbours[_places(lattice.keys(neighbours), present) < 0])
         more = np.unique(np.concatenate(added), axis=0)
         if not len(more):
-            return _Surface(lattice, cells, corners, nodes, points, values)
+            return _Surface(lattice, cells, corners, nodes, points, values, crossed)
         order = np.argsort(keys)
         known, known_values = keys[order], values[order]
         cells = np.concatenate([cells, more])

@@ -455,6 +455,27 @@ def test_a_killed_build_goes_on_and_ends_the_same(tmp_path, moment):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.lamp", "whole.lamp"]
 
 
+def test_a_bank_begun_with_other_defaults_is_not_gone_on_with(tmp_path):
+    """A later version may fit by other options where none are given: its exemplars would not lie where these do."""
+
+    @dataclass(frozen=True)
+    class Later(toys.Radial):
+        divisions: int = toys.Radial.divisions + 1
+
+    Later.__qualname__ = toys.Radial.__qualname__
+
+    class LaterPlugin:
+        @lampopt.hookimpl
+        def lampopt_decoders(self):
+            return {"radial": Later}
+
+    now, later = (small.plugins(("radial", plugin)) for plugin in (RadialPlugin(), LaterPlugin()))
+    small.bank(decoder="radial", plugins=now, store=tmp_path / "a.lamp")
+    small.bank(decoder="radial", plugins=now, store=tmp_path / "a.lamp")
+    with pytest.raises(BankError, match="made from other exemplars, options or seed"):
+        small.bank(decoder="radial", plugins=later, store=tmp_path / "a.lamp")
+
+
 def wait_for(path, process):
     for _ in range(3000):
         if path.exists():

@@ -301,7 +301,6 @@ def test_without_reach_every_weight_takes_adams_step(depth):
     gradients = torch.tensor(draw.normal(size=(4, 2, network.size))).float()
     leaf = weights.clone().requires_grad_()
     adam = torch.optim.Adam([leaf], lr=0.01, betas=(0.9, 0.99), eps=1e-10)
-    weights.grad = torch.zeros_like(weights)
     optimizer = Optimizer(network, weights, reach=0.0 if depth > 1 else 0.3)  # there is nothing hidden to turn
     for gradient in gradients:
         leaf.grad = gradient.clone()
@@ -318,8 +317,9 @@ def test_orthogonal_steps_are_of_hidden_matrices_alone():
     stepped = {}
     for reach in (0.0, 0.5):
         own = weights.clone()
-        own.grad = gradient.clone()
-        Optimizer(network, own, reach=reach).step(0.01)
+        optimizer = Optimizer(network, own, reach=reach)
+        own.grad.copy_(gradient)
+        optimizer.step(0.01)
         stepped[reach] = network.layers(own)
     for k, (before, adam, muon) in enumerate(zip(network.layers(weights), *stepped.values(), strict=True)):
         np.testing.assert_array_equal(adam[1], muon[1])
@@ -334,12 +334,10 @@ def test_those_that_go_on_keep_their_momentum():
     network, draw = Network(6, 3, 1, "relu"), np.random.default_rng(0)
     gradients = torch.tensor(draw.normal(size=(4, 3, network.size))).float()
     whole, keep = torch.tensor(draw.normal(size=(3, network.size))).float(), torch.tensor([True, False, True])
-    whole.grad = torch.zeros_like(whole)
     all_three, two = Optimizer(network, whole, reach=0.2), None
     for k, gradient in enumerate(gradients):
         if k == 2:
             some = whole[keep]
-            some.grad = torch.zeros_like(some)
             two = all_three.only(keep, some)
         if two is not None:
             some.grad.copy_(gradient[keep])

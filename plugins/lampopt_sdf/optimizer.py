@@ -2,7 +2,8 @@
 
 An orthogonal step turns every direction of a layer alike (Jordan et al., 2024, Muon), where Adam's follows the few that
 the gradient is full of: a network comes to the same error in half the steps, of a quarter of the points, and stays
-nearer to the shared start (benchmarks/optimizers.py).
+nearer to the shared start (benchmarks/optimizers.py). torch.optim.Muon takes one matrix at a time; here those of all
+networks are views of flat rows, and go through the iteration together.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Optimizer:
     network
         Whose weights they are.
     weights
-        With a gradient beside them; altered in place.
+        Altered in place; beside them they get a gradient of zero, to be filled before each step.
     reach
         Of orthogonal steps of hidden layers, as a part of the rate that Adam's coordinates have and of the square root
         of the width; 0: they take Adam's steps too.
@@ -34,6 +35,7 @@ class Optimizer:
     def __init__(self, network: Network, weights: torch.Tensor, *, reach: float) -> None:
         self._network, self._weights = network, weights
         self._reach = reach if network.depth > 1 else 0.0
+        weights.grad = torch.zeros_like(weights)
         fused = weights.device.type in ("cpu", "cuda")
         self._adam = torch.optim.Adam([weights], betas=(0.9, 0.99), eps=1e-10, fused=fused)
         self._momentum = torch.zeros_like(self._hidden(weights)) if self._reach else torch.empty(len(weights), 0)

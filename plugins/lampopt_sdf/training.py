@@ -57,7 +57,6 @@ def train(
         look = surface[:, :: max(1, surface.shape[1] // BLOCK)]  # the points lie in face order: take some of all
         finished = torch.tensor(start, dtype=torch.float32, device=given.device)
         weights = finished.clone()
-        weights.grad = torch.zeros_like(weights)
         optimizer = Optimizer(network, weights, reach=reach)
         batch = _Batch.of(network, weights, optimizer, features, distances, look, half=half)
         left = torch.arange(len(finished), device=given.device)  # whom the batch's rows belong to
@@ -133,7 +132,6 @@ class _Batch:
     def only(self, keep: torch.Tensor) -> _Batch:
         """Those that `keep` (n,) says, as far as they are: the finished ones cost no more."""
         weights = self.weights[keep]
-        weights.grad = torch.zeros_like(weights)
         seen = (part[keep] for part in (self.features, self.distances, self.look))
         return _Batch.of(
             self.run.network, weights, self.optimizer.only(keep, weights), *seen, half=self.half is not None
