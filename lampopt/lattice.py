@@ -135,13 +135,11 @@ class Look:
         """
         change = other.values - self.values  # a point is no more than half a cell along each axis from a corner
         between = SLOPE_MARGIN / 2 * sum(np.abs(np.diff(change, axis=k)).max() for k in range(3))
-        at_corners = _corners(change)
-        apart = np.asarray(np.abs(at_corners).max(0) + between)
+        apart = np.asarray(_corners(np.abs(change)).max(0) + between)
         near = _corners(np.abs(self.values)).min(0) - self.slope * sqrt(3) / 2 * self.lattice.step <= apart
         centres = self.lattice.bounds[0] + self.lattice.step * (np.argwhere(near) + 0.5)
         at_centres = other.field(centres) - self.field(centres)
-        unseen = np.abs(at_centres - at_corners[:, near].mean(0))  # by the corners: something small came or went
-        apart[near] = np.maximum(apart[near], np.abs(at_centres) + between) + unseen
+        apart[near] = np.maximum(apart[near], np.abs(at_centres) + between)
         return apart if (apart[near] <= width).all() else None
 
 

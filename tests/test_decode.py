@@ -1,7 +1,7 @@
 """Fields to meshes: closed forms, the dense grid as reference, and a count of what was evaluated."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -356,6 +356,70 @@ def test_a_band_sees_what_comes_up_between_two_bodies():
     for _ in range(3):
         assert topology(band.mesh(gap)).bodies == 2
     assert topology(band.mesh(union(gap, ball(middle, 0.0149)))).bodies == 3
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.03])
+def test_a_band_sees_what_comes_up_between_the_nodes_of_the_coarse_lattice(radius):
+    centre = np.array([0.65625, 0.65625, 0.65625])  # in the middle of a coarse cell, 0.054 from its corners
+    band = NarrowBand(BOX, 128)
+    for _ in range(3):
+        band.mesh(ball(radius=0.3))
+    assert topology(band.mesh(union(ball(radius=0.3), ball(centre, radius)))).bodies == 2
+
+
+def test_a_band_follows_a_surface_that_leaves_every_cell_it_crossed():
+    pitch, band = 2 / 64, NarrowBand(BOX, 64)
+    for cells in (0.0, 0.05, 0.1, 0.85):  # faces from the middle of a cell into the next one, all at once
+        field = block((0, 0, 0), (np.array([10.4, 8.4, 6.4]) + cells) * pitch)
+        assert same(band.mesh(field), field_to_mesh(field, BOX, 64))
+
+
+def laid(field, resolution):
+    """A band laid around `field`."""
+    band = NarrowBand(BOX, resolution)
+    for _ in range(2):
+        band.mesh(field)
+    assert band._seen.band is not None
+    return band
+
+
+def lacking(band, gone):
+    """That band without the cells whose x lies where `gone` says, as if it had been misled there."""
+    seen, own = band._seen, band._seen.band
+    left = ~gone(BOX[0, 0] + own.cells[:, 0] * own.look.lattice.pitch)
+    band._seen = replace(seen, band=replace(own, cells=own.cells[left], low=own.low[left], high=own.high[left]))
+    return band
+
+
+def test_what_a_band_lacks_is_searched_for():
+    both = union(ball((-0.4, 0, 0), 0.3), ball((0.5, 0, 0), 0.2))
+    band = lacking(laid(both, 64), lambda x: x > 0.1)
+    assert same(band.mesh(both), field_to_mesh(both, BOX, 64))
+
+
+def test_what_a_band_lacks_of_a_surface_is_run_on_into_and_does_not_show():
+    field = ball((0, 0, 0), 0.5)
+    band = lacking(laid(field, 64), lambda x: np.abs(x - 0.031) < 0.016)  # a slice thinner than a coarse cell
+    assert same(band.mesh(field), field_to_mesh(field, BOX, 64))
+
+
+def test_no_band_is_laid_where_the_slope_that_was_seen_left_something_out():
+    spot = -1 + 0.0625 * (np.array([27, 18, 15]) + 0.5)  # as in the test of a spot steeper than was seen
+    sphere = ball(radius=float(np.linalg.norm(spot)))
+    band = NarrowBand(BOX, 128)
+    for _ in range(3):
+        band.mesh(lambda p: sphere(p) * (1 + 20 * np.exp(-((p - spot) ** 2).sum(1) / 0.012**2)))
+    assert band._seen.band is None
+
+
+def test_a_part_that_the_coarse_lattice_saw_is_not_lost_to_a_slope_that_it_did_not(caplog):
+    caplog.set_level("INFO", logger="lampopt")
+    far = union(ball((-0.4, 0.013, 0.007), 0.3), block([0.53125] * 3, [0.04] * 3))
+    band = NarrowBand(BOX, 128)
+    mesh = band.mesh(lambda p: np.clip(1e5 * far(p), -1, 1))  # a step: its slope shows nowhere on the coarse lattice
+    assert topology(mesh).bodies == 2
+    assert "the field is steeper than was seen at first: slope bound raised to 80" in caplog.text
+    assert band._seen.look.slope == pytest.approx(80)  # what was found out is kept
 
 
 def test_threads_may_share_a_band():

@@ -20,6 +20,7 @@ from lampopt.errors import FitError, InputError
 from lampopt.plugins import Plugins
 from lampopt.testing import decoder_checks, shapes
 from lampopt.topology import topology
+from lampopt_sdf import optimizer as stepping
 from lampopt_sdf import training
 from lampopt_sdf.half import HalfPass, native
 from lampopt_sdf.network import BLOCK, Network, Pass, evaluate
@@ -330,6 +331,21 @@ def test_orthogonal_steps_are_of_hidden_matrices_alone():
             np.testing.assert_allclose(before[0] - muon[0], wanted, atol=1e-6)
 
 
+def test_orthogonal_steps_look_ahead_along_their_momentum():
+    network, draw = Network(6, 3, 1, "relu"), np.random.default_rng(0)
+    weights = torch.tensor(draw.normal(size=(2, network.size))).float()
+    gradients = torch.tensor(draw.normal(size=(3, 2, network.size))).float()
+    optimizer, wanted = Optimizer(network, weights, reach=0.5), network.layers(weights.clone())[1][0]
+    momentum = torch.zeros_like(wanted)
+    for gradient in gradients:
+        weights.grad.copy_(gradient)
+        optimizer.step(0.01)
+        own = network.layers(gradient)[1][0]
+        momentum = 0.95 * momentum + own
+        wanted = wanted - 0.01 * 0.5 * 6**0.5 * orthogonal(own + 0.95 * momentum)  # Nesterov's
+        np.testing.assert_allclose(network.layers(weights)[1][0], wanted, atol=1e-6)
+
+
 def test_those_that_go_on_keep_their_momentum():
     network, draw = Network(6, 3, 1, "relu"), np.random.default_rng(0)
     gradients = torch.tensor(draw.normal(size=(4, 3, network.size))).float()
@@ -367,11 +383,14 @@ def test_half_the_bits_give_nearly_the_same_values_and_directions(network, point
 
 
 def test_four_steps_of_five_are_in_half_the_bits(start, monkeypatch):
+    turned, turn = [], stepping.orthogonal
+    monkeypatch.setattr(stepping, "orthogonal", lambda given, kind: turned.append(kind) or turn(given, kind))
     calls, forward = [], HalfPass.forward
     monkeypatch.setattr(HalfPass, "forward", lambda self, *given: calls.append(len(given[1])) or forward(self, *given))
     decoder = replace(TINY, precision="bfloat16")
     weights, error = decoder.fit(start, [EGG, BRICK], seed=0)
     assert calls == [2] * (4 * TINY.steps // 5)
+    assert turned == [torch.bfloat16] * len(calls) + [torch.float32] * (TINY.steps - len(calls))
     exact = replace(TINY, precision="float32").fit(start, [EGG, BRICK], seed=0)[0]
     assert calls == [2] * (4 * TINY.steps // 5)
     assert not np.array_equal(weights, exact)

@@ -33,8 +33,7 @@ class Optimizer:
     """
 
     def __init__(self, network: Network, weights: torch.Tensor, *, reach: float) -> None:
-        self._network, self._weights = network, weights
-        self._reach = reach if network.depth > 1 else 0.0
+        self._network, self._weights, self._reach = network, weights, reach
         weights.grad = torch.zeros_like(weights)
         fused = weights.device.type in ("cpu", "cuda")
         self._adam = torch.optim.Adam([weights], betas=(0.9, 0.99), eps=1e-10, fused=fused)
