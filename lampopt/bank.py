@@ -11,7 +11,7 @@ import json
 import logging
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 
@@ -93,14 +93,13 @@ def build_bank(
         raise InputError(f"measured: expected a mapping such as {{'length': 'extents.length'}}, got {measured!r:.80}")
     seed, batch, probes = whole(seed, "seed", 0), whole(batch, "batch", 1), whole(probes, "probes", 1)
     plugins = plugins or Plugins.load().report()
-    spec = Spec.of(decoder)
-    made: Decoder = plugins.make("decoder", spec)
+    made: Decoder = plugins.make("decoder", decoder)
+    spec = plugins.complete("decoder", decoder)
     limits = None if limits is None else _limits(limits)
     path = path_of(store, "store") if store is not None else None
     report = looked_at(exemplars, accept, finished=path is not None and path.exists(), progress=progress)
     exemplars, facts = report.exemplars, report.facts
-    chosen = made if is_dataclass(made) else spec  # which names every option, so that other defaults are another plan
-    plan = _plan(exemplars, facts, f"{chosen!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
+    plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
     measured_by = {**exemplars.measured, **(measured or {})}
     if path is not None and path.exists():
         return _finished(path, plan, exemplars, measured_by, limits, plugins)

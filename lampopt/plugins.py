@@ -198,6 +198,11 @@ class Plugins:
             raise PluginError(f"{kind} {spec.name!r}: {made!r} of {offer} lacks what {wanted} asks for")
         return made
 
+    def complete(self, kind: str, choice: str | Spec) -> Spec:
+        """`choice` with the defaults of the day named too, for files that outlive them."""
+        spec = Spec.of(choice)
+        return Spec(spec.name, **{**default_options(self.get(kind, spec.name).resolve()), **spec.options})
+
     def recorded(self, result: Result, folder: Path) -> None:
         """Tell every observer about a result on disk; what one raises is logged and loses nothing."""
         for implementation in self.manager.hook.lampopt_recorded.get_hookimpls():
@@ -305,11 +310,23 @@ def required_options(cls: type) -> list[str]:
     return [f.name for f in declared if f.init and f.default is MISSING and f.default_factory is MISSING]
 
 
+def default_options(cls: type) -> dict[str, Scalar]:
+    """The options of a plugin class that have a default of their declared type which a file can hold, with it."""
+    declared = fields(cls) if is_dataclass(cls) else ()
+    defaults = {f.name: f.default for f in declared if f.init and isinstance(f.default, str | int | float | bool)}
+    kinds = known_options(cls)
+    return {name: default for name, default in defaults.items() if _fits(default, kinds[name])}
+
+
 _CHECKED: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}
 
 
 def _check_type(what: str, value: Scalar, declared: str) -> None:
     """Refuse a scalar of another type than a plainly declared one; other annotations are the class's business."""
-    wanted = _CHECKED.get(declared)
-    if wanted and (not isinstance(value, wanted) or (isinstance(value, bool) and declared != "bool")):
+    if not _fits(value, declared):
         raise PluginError(f"{what}: expected {declared}, got {value!r}")
+
+
+def _fits(value: Scalar, declared: str) -> bool:
+    wanted = _CHECKED.get(declared)
+    return not wanted or (isinstance(value, wanted) and (declared == "bool" or not isinstance(value, bool)))

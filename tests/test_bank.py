@@ -474,6 +474,9 @@ def test_a_bank_begun_with_other_defaults_is_not_gone_on_with(tmp_path):
     small.bank(decoder="radial", plugins=now, store=tmp_path / "a.lamp")
     with pytest.raises(BankError, match="made from other exemplars, options or seed"):
         small.bank(decoder="radial", plugins=later, store=tmp_path / "a.lamp")
+    bank = lampopt.load_bank(tmp_path / "a.lamp")
+    assert bank.decoder == Spec("radial", divisions=toys.Radial.divisions)
+    assert decoder_of(bank, later) == Later(toys.Radial.divisions)
 
 
 def wait_for(path, process):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from dataclasses import MISSING, asdict, fields, is_dataclass
+from dataclasses import asdict
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -13,7 +13,7 @@ import click
 from lampopt.cli.answer import DONE, REJECTED, Answer, Command
 from lampopt.cli.show import table, verdict
 from lampopt.errors import PluginError
-from lampopt.plugins import BLOCK, KINDS, Plugins, known_options
+from lampopt.plugins import BLOCK, KINDS, Plugins, default_options, known_options, required_options
 from lampopt.progress import progress_bar
 
 
@@ -85,14 +85,11 @@ def sources() -> Answer:
 
 
 def _options(cls: type) -> list[dict[str, Any]]:
-    declared = known_options(cls)
-    defaults = {f.name: f.default for f in fields(cls)} if is_dataclass(cls) else {}
-    found = []
-    for name, kind in declared.items():
-        required = defaults[name] is MISSING
-        default = defaults[name] if isinstance(defaults[name], str | int | float | bool) else None
-        found.append({"name": name, "type": kind, "required": required, "default": default})
-    return found
+    required, defaults = required_options(cls), default_options(cls)
+    return [
+        {"name": name, "type": kind, "required": name in required, "default": defaults.get(name)}
+        for name, kind in known_options(cls).items()
+    ]
 
 
 def _default(option: dict[str, Any]) -> str:

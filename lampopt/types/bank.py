@@ -229,7 +229,7 @@ class Bank:
     frame
         User's unit ⇄ decoder's box.
     decoder
-        Spec that rebuilds the decoder.
+        Spec that rebuilds the decoder, its defaults named too: those of a later version may be others.
     probes, probe_values
         (M, 3) points of the decoder's domain; (N, M, C) what each exemplar's decoder says there.
     fit_error
