@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lampopt.errors import InputError, StudyError
+from lampopt.errors import InputError, MeasureError, StudyError
 from lampopt.goals import Reduce
 from lampopt.loop import MEASURED, run
 from lampopt.plane import Plane, in_ranges
@@ -109,6 +109,8 @@ def active(
         If the study has no such objective, or asks for corrections of its own (`turns`).
     InputError
         For a budget that leaves no proposal, or where the reference cannot be measured.
+    MeasureError
+        If something could not be measured for a reason that may pass.
     """
     if not isinstance(study, Study):
         raise StudyError(f"active: expected a Study, got {study!r:.80}")
@@ -167,6 +169,8 @@ def active(
         aim = plane.value + reach * float(np.clip(wanted - plane.value, -most, most))
         result = run(_asked(study, bank, name, plane, aim), folder, report=False, plugins=plugins)
         alpha = result.design.mix.alpha
+        if lost := [check for check in result.checks if check.retry]:
+            raise MeasureError(f"{lost[0].name}: {lost[0].note}; with a folder the same call goes on from here")
         told = [check.value for check in result.checks if check.name == quantity.name and check.sense == "info"]
         value = told[0] if told else quantities.value(quantity, alpha)  # it is measured once where meshes are judged
         measured(alpha, f"design {number}", float(alpha @ plane.values), value)

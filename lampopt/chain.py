@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.decode import decoding
-from lampopt.errors import EmptyMesh, MeasureError
+from lampopt.errors import EmptyMesh, MeasureError, may_pass
 from lampopt.measured import values_of
 from lampopt.mix import mixed_weights
 from lampopt.plugins import returned
@@ -87,14 +87,22 @@ class Chain:
         return np.asarray(self.bank.weights @ by_weights.astype(np.float32), float)
 
     def values(self, name: str, measure: Measure, alpha: Array) -> Array:
-        """What `measure` says (p,) of the mesh of alpha; NaN where it has no surface, or lacks what is measured."""
+        """What `measure` says (p,) of the mesh of alpha; NaN where it has no surface, or lacks what is measured.
+
+        Raises
+        ------
+        MeasureError
+            If it could not be measured for a reason that may pass: no search may take that for the shape's own.
+        """
         kept = self._made(alpha)
         key = name, id(measure)
         if key not in kept.values:
             try:
                 none = np.full(len(measure.names), np.nan)
                 kept.values[key] = none if kept.mesh is None else values_of(name, measure, kept.mesh)
-            except (MeasureError, EmptyMesh):
+            except (MeasureError, EmptyMesh) as error:
+                if may_pass(error):
+                    raise
                 kept.values[key] = none
         return kept.values[key]
 
@@ -109,6 +117,8 @@ class Chain:
         ------
         PluginError
             If measure or decoder return something else than gradients.
+        MeasureError
+            As `values` does.
         """
         mesh = self.mesh(alpha)
         assert isinstance(measure, Gradient)
@@ -116,7 +126,9 @@ class Chain:
             return np.full(len(self.bank), np.nan)
         try:
             found = measure.gradient(mesh)
-        except (MeasureError, EmptyMesh):
+        except (MeasureError, EmptyMesh) as error:
+            if may_pass(error):
+                raise
             return np.full(len(self.bank), np.nan)
         by = returned(f"measure {name!r}: gradient", found, (None, len(mesh.vertices), 3))
         return self.back(alpha, by[place])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.angles import deviations
-from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError
+from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError, may_pass
 from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Interval, Measure
@@ -250,7 +250,9 @@ def drift_checks(
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:
-            found.append(Check(f"drift.{parameter}", float("nan"), "<=", limit, unit, "mesh", f"{address}: {error}"))
+            note = f"{address}: {error}"
+            lost = Check(f"drift.{parameter}", float("nan"), "<=", limit, unit, "mesh", note, may_pass(error))
+            found.append(lost)
             continue
         note = f"{address} {value:.6g}, {'wanted' if parameter in wanted else 'predicted'} {expected:.6g}"
         found.append(Check(f"drift.{parameter}", abs(value - expected), "<=", limit, unit, "mesh", note))
@@ -286,14 +288,16 @@ def measure_checks(bank: Bank, mesh: Trimesh, measures: Mapping[str, Measure]) -
     """
     found = []
     for name, measure in measures.items():
+        retry = False
         try:
             values = values_of(name, measure, mesh)
             notes = _trust(name, measure, mesh) if isinstance(measure, Interval) else [""] * len(values)
         except (MeasureError, EmptyMesh) as error:
             values, notes = np.full(len(measure.names), np.nan), [str(error)] * len(measure.names)
+            retry = may_pass(error)
         for value, label, unit, note in zip(values, measure.names, measure.units, notes, strict=True):
             found.append(
-                Check(f"{name}.{label}", float(value), "info", None, filled(unit, bank.frame.unit), "mesh", note)
+                Check(f"{name}.{label}", float(value), "info", None, filled(unit, bank.frame.unit), "mesh", note, retry)
             )
     return found
 

@@ -34,7 +34,7 @@ class SolveError(LampoptError):
 
 
 class SweepError(LampoptError):
-    """A sweep that lost a worker; what is finished is kept."""
+    """A sweep that lost a worker, or whose measure failed in passing; what is finished is kept."""
 
 
 class MeasureError(LampoptError):
@@ -45,3 +45,8 @@ class MeasureError(LampoptError):
 
 class EmptyMesh(LampoptError):  # noqa: N818  # the name is the protocol's
     """A field without a zero level set, or a mesh without faces."""
+
+
+def may_pass(error: Exception) -> bool:
+    """Whether what failed may come out if it is tried again: a measure's solver was killed, say."""
+    return isinstance(error, MeasureError) and bool(error.passing)

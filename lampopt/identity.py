@@ -13,7 +13,7 @@ import numpy as np
 
 from lampopt import lamp
 from lampopt.plugins import Plugins
-from lampopt.protocols import Measure, Model, State
+from lampopt.protocols import External, Measure, Model, State
 from lampopt.types import Bank, Spec
 
 
@@ -51,6 +51,8 @@ def told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> str | li
     if not isinstance(choice, Spec):
         return given(choice)
     who = str(plugins.get("measure", choice.name))
+    if isinstance(measure, External):
+        return [who, repr(Spec(choice.name, **measure.depends_on()))]
     more = [*([repr(choice)] if choice.options else []), *([learned(measure)] if isinstance(measure, State) else [])]
     return [who, *more] if more else who
 

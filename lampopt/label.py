@@ -22,7 +22,7 @@ from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.crew import Crew, lost
 from lampopt.decode import decode
-from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, SweepError
+from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, SweepError, may_pass
 from lampopt.fitting import ranged
 from lampopt.identity import hashed, told
 from lampopt.identity import whole as all_of
@@ -30,7 +30,7 @@ from lampopt.measured import values_of
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
-from lampopt.protocols import Keeping, Measure, Progress
+from lampopt.protocols import External, Keeping, Measure, Progress
 from lampopt.reading import brief, path_of, why
 from lampopt.types import Array, Bank, Parameter, Spec, expect_bank
 from lampopt.units import filled, said, whole
@@ -81,7 +81,7 @@ def label(
     -------
     Bank
         The labels of exemplars that could not be measured are not known (NaN); why is logged, and stands in the
-        provenance by ``labelled.NAME``, JSON, with who measured.
+        provenance by ``labelled.NAME``, JSON, with who measured, by which options and version.
 
     Raises
     ------
@@ -89,6 +89,8 @@ def label(
         For a value that the measure does not have, or if no exemplar can be measured.
     BankError
         If `store` holds another bank, or another process is labelling it.
+    MeasureError
+        If the program that an `External` measure needs is not there.
     """
     expect_bank(bank, "bank")
     plugins = plugins or Plugins.load().report()
@@ -108,14 +110,18 @@ def label(
     path = None if store is None else path_of(store, "store")
     if path is not None and path.exists():
         return _finished(path, plan)
+    program = made.program() if isinstance(made, External) else ""
     with nullcontext() if path is None else Partial.open(path, plan) as parts:
         if path is not None and path.exists():  # another process has finished it meanwhile
             return _finished(path, plan)
         if path is not None and isinstance(made, Keeping):
             made = made.kept_in(path.absolute().with_name(path.name + MEASURED))
-        work = _Work(bank, called, made, [*names.values()], resolution, parts, plugins)
+        work = _Work(bank, called, made, [*names.values()], resolution, parts, plugins, program)
         found, failed = work.done(executor, progress or silent)
-        labelled = _with_labels(bank, called, made, names, found, failed, plan)
+        given = choice.options if isinstance(choice, Spec) else {}
+        options = dict(made.depends_on() if isinstance(made, External) else given)
+        by = {name: what for name, what in (("options", options), ("program", program), ("failed", failed)) if what}
+        labelled = _with_labels(bank, called, made, names, found, by, plan)
         if path is None:
             return labelled
         stored = lamp.store_bank(labelled, path)
@@ -150,8 +156,10 @@ class _Work:
         resolution: int,
         parts: Partial | None,
         plugins: Plugins,
+        program: str,
     ) -> None:
         self._bank, self._called, self._measure = bank, called, measure
+        self._made_by = f"-{hashed(program)}" if program else ""  # what one version has measured is no other's
         self._resolution, self._parts = resolution, parts
         self._wanted = [tuple(measure.names).index(value) for value in wanted]
         self._decoder = decoder_of(bank, plugins)
@@ -199,12 +207,15 @@ class _Work:
         return values, failed
 
     def _kept(self, number: int) -> Array | None:
-        found = None if self._parts is None else self._parts.read(f"values_{number:05d}")
+        found = None if self._parts is None else self._parts.read(self._part(number))
         return None if found is None else found["values"]
 
     def _keep(self, number: int, answer: Array) -> None:
         if self._parts is not None:
-            self._parts.write(f"values_{number:05d}", {"values": answer})
+            self._parts.write(self._part(number), {"values": answer})
+
+    def _part(self, number: int) -> str:
+        return f"values_{number:05d}{self._made_by}"
 
     def _answers(self, numbers: Sequence[int], executor: Executor | None) -> Iterator[tuple[int, Array | _Missing]]:
         ask = partial(_measured, self._called, self._measure, self._wanted)
@@ -256,7 +267,7 @@ def _measured(called: str, measure: Measure, wanted: Sequence[int], mesh: Trimes
     try:
         values = values_of(called, measure, mesh)
     except (MeasureError, EmptyMesh) as error:
-        return _Missing(str(error), bool(getattr(error, "passing", False)))
+        return _Missing(str(error), may_pass(error))
     if (strange := values[wanted][~np.isfinite(values[wanted])]).size:
         return _Missing(f"{called} says {strange[0]}")
     return values
@@ -268,10 +279,10 @@ def _with_labels(
     measure: Measure,
     names: Mapping[str, str],
     values: Array,
-    failed: Mapping[str, str],
+    by: Mapping[str, object],
     plan: str,
 ) -> Bank:
-    """`bank` with columns of `values` (N, p) among its labels."""
+    """`bank` with columns of `values` (N, p) among its labels, and how they came about in `by`."""
     places = [tuple(measure.names).index(value) for value in names.values()]
     space = [
         Parameter(name, filled(measure.units[place], bank.frame.unit))
@@ -280,8 +291,7 @@ def _with_labels(
     others = [k for k, q in enumerate(bank.label_space) if q.name not in names]
     labels = np.concatenate([bank.labels[:, others], values[:, places]], axis=1)
     known = {
-        f"{LABELLED}{name}": json.dumps({"by": f"{called}.{value}", **({"failed": dict(failed)} if failed else {})})
-        for name, value in names.items()
+        f"{LABELLED}{name}": json.dumps({"by": f"{called}.{value}", **by}) for name, value in names.items()
     }
     return replace(
         bank,

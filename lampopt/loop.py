@@ -102,6 +102,14 @@ def run(
     """The design that `study` asks for; with `folder` recorded there, or read back if it is there already.
 
     `report` says whether `report.html` is written there too; `progress` is told of each evaluation and correction.
+
+    Raises
+    ------
+    StudyError
+        Before anything is computed, if the study asks for what cannot be.
+    MeasureError
+        If what the design depends on could not be measured for a reason that may pass (its `passing`); the same call
+        tries again. What only reports on the design gives a check that says so (its `retry`), and nothing is recorded.
     """
     _expect_study(study)
     (result,) = _results(Task.of(study, plugins), [{}], folder, progress, None, report)
@@ -149,7 +157,8 @@ def sweep(
     StudyError
         Before anything is computed, if the study asks for what cannot be.
     SweepError
-        If a worker is lost: what is finished is recorded, and the same sweep goes on with the rest.
+        If a worker is lost, or at the end if designs could not be measured for a reason that may pass: what is
+        finished is recorded, and the same sweep goes on with the rest.
     """
     _expect_study(study)
     if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "submit", None))):
@@ -291,9 +300,12 @@ def _yield(
 
         made = judged(task, asked, place, executor, file, ahead, tell_of_design)
         with _said_when_stopped(task, asked, place), closing(made):
-            for number in range(len(asked)):
-                tell(number / len(asked), f"design {number + 1} of {len(asked)}")
-                yield next(made)
+            tell(0.0, f"design 1 of {len(asked)}")
+            for result in made:
+                number += 1
+                yield result
+                if number < len(asked):
+                    tell(number / len(asked), f"design {number + 1} of {len(asked)}")
         tell(1.0, f"{len(asked)} designs")
         if place is not None and report:
             _report_if_possible(task, place.folder)

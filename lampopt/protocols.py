@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from lampopt.types import Array, Bank, Check, Design, Exemplars, Mix, MixBatch, Needs, Problem
+from lampopt.types import Array, Bank, Check, Design, Exemplars, Mix, MixBatch, Needs, Problem, Scalar
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -239,6 +239,17 @@ class Keeping(Protocol):
 
     def kept_in(self, folder: Path) -> Measure:
         """The same measure, keeping it in `folder`; itself, where it was told another."""
+
+
+@runtime_checkable
+class External(Protocol):
+    """A measure whose values another program works out: not all its options are what they depend on."""
+
+    def depends_on(self) -> Mapping[str, Scalar]:
+        """Options that the values depend on, by name; those of where and how fast it works are left out."""
+
+    def program(self) -> str:
+        """The program's name and version. Raises MeasureError where there is none."""
 
 
 @runtime_checkable

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lampopt.crew import Crew, clusters, lost
-from lampopt.errors import BankError, LampoptError, PluginError, StudyError, SweepError
+from lampopt.errors import BankError, LampoptError, MeasureError, PluginError, StudyError, SweepError, may_pass
 from lampopt.evaluations import Memory
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
@@ -53,6 +53,8 @@ def judged(
 ) -> Generator[Result, None, None]:
     """One result for each target, in order: read back where it is recorded in `place`, else made and recorded there.
 
+    One whose measure failed for a reason that may pass is left out, and told once all others are there.
+
     Parameters
     ----------
     task
@@ -73,23 +75,51 @@ def judged(
     Raises
     ------
     SweepError
-        If a worker is lost.
+        If a worker is lost, or designs were left out.
+    MeasureError
+        If the only design was.
     """
-    if executor is not None:
-        yield from _Ahead(task, asked, place, executor, file, ahead).results()
-        return
+    left_out = dict[int, Exception]()
+    if executor is None:
+        yield from _one_by_one(task, asked, place, tell, left_out)
+    else:
+        yield from _Ahead(task, asked, place, executor, file, ahead, left_out).results()
+    if left_out:
+        number, error = next(iter(left_out.items()))
+        if len(asked) == 1:
+            raise error
+        kept = "" if place is None else f": {state(task, asked, place)}"
+        raise SweepError(
+            f"{len(left_out)} of {len(asked)} designs could not be measured for a reason that may pass "
+            f"({dict(asked[number])}: {brief(str(error))}){kept}"
+        ) from error
+
+
+def _one_by_one(
+    task: Task,
+    asked: Sequence[Target],
+    place: RunFolder | None,
+    tell: Callable[[str], None],
+    left_out: dict[int, Exception],
+) -> Generator[Result, None, None]:
     mixes = Mixes(task.posed, task.solver, asked)
     for number, target in enumerate(asked):
         key = "" if place is None else task.key(target)
         result = None if place is None else place.read(key, task.bank, task.designer)
         if result is None:
             began = time.perf_counter()
-            if task.solves_long(target):
-                memory = Memory(listener=tell) if place is None else Memory.at(place.folder, key, tell)
-                found = task.solved(target, memory)
-            else:
-                found = mixes.at(number)
-            result = task.made(target, *found, tell)
+            try:
+                if task.solves_long(target):
+                    memory = Memory(listener=tell) if place is None else Memory.at(place.folder, key, tell)
+                    found = task.solved(target, memory)
+                else:
+                    found = mixes.at(number)
+                result = task.made(target, *found, tell)
+            except MeasureError as error:
+                if not may_pass(error):
+                    raise
+                _leave_out(left_out, number, error)
+                continue
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
 
@@ -101,8 +131,16 @@ def state(task: Task, asked: Sequence[Target], place: RunFolder) -> str:
     return f"{done} of {len(keys)} designs are done and kept in {place.folder}; the same sweep goes on with the rest"
 
 
+def _leave_out(left_out: dict[int, Exception], number: int, error: Exception) -> None:
+    log.warning("design %d is left out: %s", number + 1, error)
+    left_out[number] = error
+
+
 def _keep(task: Task, place: RunFolder | None, key: str, result: Result, seconds: float) -> Result:
     if place is None:
+        return result
+    if lost := [check for check in result.checks if check.retry]:
+        log.warning("a design is not recorded: %s: %s; the same study asks again", lost[0].name, lost[0].note)
         return result
     result = place.write(key, result, task.bank, task=task.identity, form=task.study.format, seconds=seconds)
     task.plugins.recorded(result, result.folder or place.folder)
@@ -132,8 +170,10 @@ class _Ahead:
         executor: Executor,
         file: Path | None,
         ahead: int | None,
+        left_out: dict[int, Exception],
     ) -> None:
         self._task, self._asked, self._place, self._executor = task, asked, place, executor
+        self._left_out = left_out
         self._mixes = Mixes(task.posed, task.solver, asked)
         self._keys = [task.key(target) for target in asked] if place is not None else []
         self._crew, self._ahead = Crew(executor), ahead
@@ -141,6 +181,7 @@ class _Ahead:
         self._setup = None if isinstance(executor, ThreadPoolExecutor) else _packed(task, file)
         self._sent, self._next = dict[int, Future[_Answer]](), 0
         self._done = dict[int, Result]()
+        self._loose = dict[str, Result]()  # by key: made and not recorded
         self._taken = False  # whether the executor has taken any work
 
     def results(self) -> Generator[Result, None, None]:
@@ -150,7 +191,9 @@ class _Ahead:
                 self._send()
                 while number in self._sent:
                     self._take()
-                yield self._done.pop(number) if number in self._done else self._read(number)
+                found = self._done.pop(number) if number in self._done else self._read(number)
+                if found is not None:
+                    yield found
         except Exception as error:
             if not lost(error):
                 raise
@@ -207,6 +250,10 @@ class _Ahead:
                 try:
                     future.result()  # raises: the others are recorded
                 except Exception as error:
+                    if may_pass(error):
+                        del self._sent[number]
+                        _leave_out(self._left_out, number, error)
+                        return
                     if clusters(error):  # it gives up this one design; a pool of processes any that it had
                         raise BrokenExecutor(f"design {dict(self._asked[number])}: {why(error)}") from error
                     raise
@@ -220,7 +267,9 @@ class _Ahead:
                     raise StudyError(f"executor: expected what its work returned, got {brief(repr(answer))}")
                 result = _result(self._task, self._asked[number], answer)
                 key = self._keys[number] if self._place is not None else ""
-                self._done[number] = _keep(self._task, self._place, key, result, answer.seconds)
+                self._done[number] = kept = _keep(self._task, self._place, key, result, answer.seconds)
+                if kept.folder is None:
+                    self._loose[key] = kept
 
     def _stop(self) -> None:
         """Ask for no more, and keep what has been finished meanwhile."""
@@ -232,11 +281,12 @@ class _Ahead:
             log.info("a finished design is not kept: %s", why(error))
         self._sent.clear()
 
-    def _read(self, number: int) -> Result:
-        assert self._place is not None  # nothing is left out that is not recorded
-        result = self._place.read(self._keys[number], self._task.bank, self._task.designer)
-        assert result is not None
-        return result
+    def _read(self, number: int) -> Result | None:
+        """What is recorded, or was made for the same target; None where that was left out."""
+        if self._place is None:
+            return None
+        key = self._keys[number]
+        return self._place.read(key, self._task.bank, self._task.designer) or self._loose.get(key)
 
 
 def _result(task: Task, target: Target, answer: _Answer) -> Result:

@@ -68,7 +68,8 @@ class Check:
     """One line of evidence about a design.
 
     `passed` says whether `value` keeps to `limit` in the `sense` given; a NaN never passes. `needs` is what had to
-    be there to judge: alpha, field or mesh.
+    be there to judge: alpha, field or mesh. `retry` says that it could not be told for a reason that may pass (a solver
+    that was killed): a design with such a check is not recorded, so that the same study asks again.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Check:
     unit: str
     needs: Needs
     note: str = ""
+    retry: bool = False
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "note"):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from lampopt.errors import InputError
-from lampopt.types import Array
+from lampopt.types import Array, Scalar
 
 from . import kept
 from .case import GROUND, TEMPLATES
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 SCATTER: dict[Level, float] = {"coarse": 0.035, "medium": 0.03, "fine": 0.03}  # of drag, from placement to placement
 LIFT_SCATTER = 0.05
 PATIENCE_S = 1.0  # between two looks at whether anybody still waits
+OPERATIONAL = ("folder", "command", "timeout_s", "workers")  # options that no value depends on
 LARGEST, SMALLEST, WIDEST = 1.0, 0.005, 2.5  # frontal area [length²] and width [length] that the domain is made for
 log = logging.getLogger("lampopt.openfoam")
 
@@ -165,6 +166,15 @@ class OpenFoamDrag:
     def kept_in(self, folder: Path) -> OpenFoamDrag:
         """The same, its flows kept in `folder` where none is named."""
         return self if self.folder else replace(self, folder=str(folder))
+
+    def depends_on(self) -> dict[str, Scalar]:
+        """All options but those of where and how fast it is solved."""
+        return {name: value for name, value in asdict(self).items() if name not in OPERATIONAL}
+
+    def program(self) -> str:
+        """Which OpenFOAM. Raises FlowError "absent" where there is none."""
+        with _folder(self.folder) as folder:
+            return str(installed(self.command, folder))
 
     def solve(self, mesh: Trimesh) -> Flow:
         """All that is known of the flow around `mesh`. Raises as a call does."""
