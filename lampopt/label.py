@@ -34,6 +34,7 @@ from lampopt.protocols import External, Keeping, Measure, Progress
 from lampopt.reading import brief, path_of, why
 from lampopt.types import Array, Bank, Parameter, Spec, expect_bank
 from lampopt.units import filled, said, whole
+from lampopt.workers import interruptible
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -265,7 +266,8 @@ def _measured(called: str, measure: Measure, wanted: Sequence[int], mesh: Trimes
     if mesh is None:
         return _Missing("it has no surface")
     try:
-        values = values_of(called, measure, mesh)
+        with interruptible():
+            values = values_of(called, measure, mesh)
     except (MeasureError, EmptyMesh) as error:
         return _Missing(str(error), may_pass(error))
     if (strange := values[wanted][~np.isfinite(values[wanted])]).size:
@@ -290,9 +292,7 @@ def _with_labels(
     ]
     others = [k for k, q in enumerate(bank.label_space) if q.name not in names]
     labels = np.concatenate([bank.labels[:, others], values[:, places]], axis=1)
-    known = {
-        f"{LABELLED}{name}": json.dumps({"by": f"{called}.{value}", **by}) for name, value in names.items()
-    }
+    known = {f"{LABELLED}{name}": json.dumps({"by": f"{called}.{value}", **by}) for name, value in names.items()}
     return replace(
         bank,
         labels=labels,

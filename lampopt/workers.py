@@ -314,7 +314,7 @@ def _judge(task: Task, target: Target, mix: Mix | None) -> _Answer:
 
 
 def _judge_there(setup: bytes, target: Target, mix: Mix | None, call: str) -> _Answer:
-    with _interruptible():
+    with interruptible():
         with OPENING:  # threads of one process would open it once each
             task = _unpacked(setup)
         return _judge(task, target, mix)
@@ -333,7 +333,7 @@ def _serve() -> None:
     from multiprocessing import parent_process
 
     OURS.set()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # but see _interruptible
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # but see interruptible
 
     def follow() -> None:
         if (parent := parent_process()) is not None:
@@ -344,7 +344,7 @@ def _serve() -> None:
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
+def interruptible() -> Iterator[None]:
     """Let Ctrl-C, which reaches workers too, stop a design; one stopped while it answers would leave us waiting."""
     if not OURS.is_set():  # what Ctrl-C does in somebody's own process is theirs to say
         yield

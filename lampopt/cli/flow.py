@@ -107,7 +107,10 @@ def flow_study(mesh: Path, levels: str, unit: str, folder: str, settings: tuple[
     shown: list[Any] = [table(f"{MEASURE} of {mesh}", heads, rows, right=("cells", "drag", "lift"))]
     if study.drag is not None:
         e = study.drag
-        shown.append(f"without grid error: drag {e.value:.4f} ± {e.error:.4f}, {e.message}")
+        shown.append(
+            f"without grid error: drag {e.value:.4f} ± {e.error:.4f} by the grids, ± {e.noise:.4f} by the placements' "
+            f"noise; {e.message}"
+        )
     notes = next((_notes(solved) for solved in study.flows.values()), [])
     return Answer(document, [*shown, *notes])
 

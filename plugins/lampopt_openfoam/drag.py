@@ -19,14 +19,15 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.types import Array, Scalar
 
-from . import kept
-from .case import GROUND, TEMPLATES
-from .flow import ITERATIONS, TOLERANCE, solved
+from . import kept, settled
+from .case import GROUND, TEMPLATES, settings
+from .flow import ITERATIONS, JUDGED, solved
 from .grid import CELL, Grid, Ground, Level
 from .installed import Installed, installed, words
 from .kept import Placed
-from .outcomes import LASTING, FlowError
+from .outcomes import LASTING, ROOM, FlowError
 from .placements import on_placements
+from .running import by
 from .surface import Half, Surface, axes, cleaned
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ LIFT_SCATTER = 0.05
 PATIENCE_S = 1.0  # between two looks at whether anybody still waits
 OPERATIONAL = ("folder", "command", "timeout_s", "workers")  # options that no value depends on
 LARGEST, SMALLEST, WIDEST = 1.0, 0.005, 2.5  # frontal area [length²] and width [length] that the domain is made for
+STRANGE = "the domain is not made for such proportions: the walls around it may tell in the drag"
 log = logging.getLogger("lampopt.openfoam")
 
 
@@ -149,7 +151,7 @@ class OpenFoamDrag:
             value = getattr(self, option)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{option}: expected a whole number, {least} or more, got {value!r:.80}")
-        for option, low, high in (("reynolds", 1e3, 1e9), ("timeout_s", 1.0, 1e7), ("clearance", -0.05, 10.0)):
+        for option, low, high in (("reynolds", 1e3, 1e9), ("timeout_s", 1.0, 1e7), ("clearance", -0.01, 10.0)):
             value = getattr(self, option)
             plain = isinstance(value, int | float) and not isinstance(value, bool)
             if not plain or not low <= value <= high:
@@ -203,7 +205,7 @@ class OpenFoamDrag:
             level=self.level,
             half=surface.half,
             openfoam=str(foam),
-            notes=(*surface.notes, *notes),
+            notes=(*surface.notes, *notes, *(() if _made_for(surface) else (STRANGE,))),
             points=points,
             pressure=pressure,
         )
@@ -259,8 +261,7 @@ class OpenFoamDrag:
 
     def outside(self, mesh: Trimesh) -> bool:
         """Whether `mesh` has proportions that the domain is not made for. Raises as a call does, without solving."""
-        surface = self._surface(mesh)
-        return not (SMALLEST <= surface.frontal_area <= LARGEST and surface.width <= WIDEST)
+        return not _made_for(self._surface(mesh))
 
     def example_mesh(self) -> Trimesh:
         """A box with the proportions of a car."""
@@ -282,11 +283,16 @@ class OpenFoamDrag:
         return Grid(self._level, number, surface.width, surface.height, surface.half, ground, self.clearance)
 
 
+def _made_for(surface: Surface) -> bool:
+    return SMALLEST <= surface.frontal_area <= LARGEST and surface.width <= WIDEST
+
+
 def _mean(values: list[float], errors: list[float], scatter: float) -> tuple[float, float]:
     """Mean over the placements, and its standard error; of one placement `scatter` stands for what is not seen."""
     n = len(values)
-    spread = float(np.var(values, ddof=1)) if n > 1 else scatter**2
-    return float(np.mean(values)), float(np.sqrt((spread + np.mean(np.square(errors))) / n))
+    own = float(np.mean(np.square(errors)))
+    spread = max(float(np.var(values, ddof=1)), own) if n > 1 else scatter**2 + own  # what is seen has both in it
+    return float(np.mean(values)), float(np.sqrt(spread / n))
 
 
 One = tuple[Placed, Array, Array]  # with points and pressure
@@ -326,44 +332,44 @@ def _folder(name: str) -> Iterator[Path]:
 def _placed(drag: OpenFoamDrag, surface: Surface, number: int, folder: Path, foam: Installed, stop: Event) -> One:
     """One placement, as it is kept or solved now."""
     grid = drag._grid(surface, number)
-    settings = replace(drag, folder="", command="", timeout_s=1.0, placements=1, first=number, half="auto", workers=1)
+    entries = grid.settings() | settings(
+        reynolds=drag.reynolds, ground=grid.ground, half=grid.half, frontal_area=1.0, iterations=ITERATIONS
+    )  # its frontal area goes with the surface
     where = folder / kept.key(
         surface=surface.digest,
-        settings=asdict(settings),
+        grid=asdict(grid),
         openfoam=str(foam),
         templates=kept.hash_of(TEMPLATES),
-        entries=grid.settings(),
-        stop=[ITERATIONS, TOLERANCE],
+        entries=entries,
+        judged=[*JUDGED, *settled.JUDGED],
     )
+    try:
+        with _locked(where.with_suffix(".lock"), stop):
+            return _one(drag, surface, grid, where, foam, stop)
+    except OSError as error:
+        raise FlowError(f"{where} cannot be written: {error}; {ROOM}", by(error)) from error
+
+
+def _one(drag: OpenFoamDrag, surface: Surface, grid: Grid, where: Path, foam: Installed, stop: Event) -> One:
     record, picture = where.with_suffix(".json"), where.with_suffix(".npz")
-    with _locked(where.with_suffix(".lock"), stop):
-        found = kept.read(record)
-        if isinstance(found, FlowError):
-            raise found
-        seen = kept.read_pressure(picture)
-        if found is not None and seen is not None:
-            return found, *seen
-        log.info("openfoam-drag: %s, placement %d, %s", drag.level, number, foam)
-        try:
-            placed, points, pressure = solved(
-                surface,
-                grid,
-                where,
-                foam,
-                reynolds=drag.reynolds,
-                timeout_s=drag.timeout_s,
-                kept=bool(drag.folder),
-                stop=stop,
-            )
-        except FlowError as error:
-            kept.write(record, error)
-            if error.outcome in LASTING:
-                _tidy(where)
-            raise
-        kept.write_pressure(picture, points, pressure)
-        kept.write(record, placed)
-        _tidy(where)
-        return placed, points, pressure
+    found, seen = kept.read(record), kept.read_pressure(picture)
+    if isinstance(found, FlowError):
+        raise found
+    if found is not None and seen is not None:
+        return found, *seen
+    log.info("openfoam-drag: %s, placement %d, %s", drag.level, grid.number, foam)
+    options = {"reynolds": drag.reynolds, "timeout_s": drag.timeout_s}
+    try:
+        placed, points, pressure = solved(surface, grid, where, foam, **options, kept=bool(drag.folder), stop=stop)
+    except FlowError as error:
+        kept.write(record, error)
+        if error.outcome in LASTING:
+            _tidy(where)
+        raise
+    kept.write_pressure(picture, points, pressure)
+    kept.write(record, placed)
+    _tidy(where)
+    return placed, points, pressure
 
 
 @contextmanager

@@ -29,6 +29,7 @@ UNSOLVED = 0.05  # initial residual that a flow does not end with
 SKEW, ORTHOGONAL = 8.0, 75.0  # worst skewness [-] and non-orthogonality [deg] of a good grid
 FEWEST = 1000  # cells
 HOLLOW = 0.5  # share of the body's volume that has to be missing from the grid
+JUDGED = (ITERATIONS, TOLERANCE, UNSOLVED, SKEW, ORTHOGONAL, FEWEST, HOLLOW)  # by which a flow is one
 BYTES = 6_000  # of disk a cell, with logs
 FIELDS = ("U", "p", "k", "omega", "nut", "phi")
 
@@ -79,7 +80,7 @@ def solved(
         checked = _checked(runner.case, grid, surface, entries)
         return _coefficients(runner, grid, checked, began)
     except FlowError as error:
-        if not (again and error.outcome == "failed"):
+        if not (again and error.outcome in ("failed", "diverged")):  # of fields that were lost half-written, perhaps
             raise
     shutil.rmtree(place)  # what was left of an earlier run cannot be gone on with
     _make_grid(surface, grid, entries, runner)
@@ -103,7 +104,7 @@ def _make_grid(surface: Surface, grid: Grid, entries: Entries, runner: Runner) -
         files.write(runner.case, entries, surface.stl(grid.clearance))
     except OSError as error:
         raise FlowError(f"{runner.case} cannot be written: {error}; {ROOM}", "disk-full") from error
-    runner.run("blockMesh", fails="bad-grid")
+    runner.run("blockMesh")  # of plain numbers: what it fails of is no fault of the grid
     runner.run("snappyHexMesh", "-overwrite", fails="bad-grid")
     runner.run("checkMesh", fails="bad-grid")
 

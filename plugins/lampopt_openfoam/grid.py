@@ -63,7 +63,7 @@ class Grid:
         dy, dz = (cell * (1 + STRETCH * (at - 0.5)) for at in (y, z))
         side, top = self.width / 2, self.height + max(self.clearance, 0.0)
         ny = ceil((1.5 + 2.5 * side) / cell)
-        nz = ceil((1 + 3 * self.height) / cell)
+        nz = ceil((1 + 3 * top) / cell)
         below = 0 if self.ground != "none" else ceil((1 + 2 * self.height) / cell)
         nx = round((UPSTREAM + DOWNSTREAM) / cell)
         x_min = -UPSTREAM - x * cell / 2 ** (FINEST - 2)

@@ -18,7 +18,7 @@ from lampopt.types import Array
 
 from .outcomes import LASTING, ROOM, FlowError
 
-SCHEMA = 1  # raise it when records come to mean something else
+SCHEMA = 2  # raise it when records come to mean something else
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def change(values: np.ndarray, noise: np.ndarray) -> Change:
 
     n = len(values)
     value = float(values.mean())
-    error = float(np.sqrt((values.var(ddof=1) + np.mean(np.square(noise))) / n))
+    error = float(np.sqrt(max(values.var(ddof=1), np.mean(np.square(noise))) / n))
     wide = float(t.ppf(0.5 + LEVEL / 2, n - 1)) * error
     p = float(2 * t.sf(abs(value) / error, n - 1)) if error > 0 else float(value == 0)
     sure = p < 1 - LEVEL

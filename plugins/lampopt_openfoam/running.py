@@ -7,6 +7,7 @@ somebody interrupts, and show their progress on standard output.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -14,6 +15,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from errno import EDQUOT, ENOSPC
+from functools import lru_cache
 from pathlib import Path
 from threading import Event
 
@@ -27,6 +30,7 @@ GRACE_S = 5.0  # between asking a tool to end and ending it
 FULL = 2_000_000  # free bytes below which a tool that failed is taken to have failed for want of room
 MISSING = (126, 127)  # a shell's, a container's or ssh's word for a command that is not there
 LOST = (125, 255)  # a container's and ssh's word for a failure of their own
+UNREAD = re.compile(r"(cannot|could not|failed to) (find|open|read) (the )?file", re.IGNORECASE)
 TAIL = 6  # lines of a log in a message
 
 
@@ -57,7 +61,7 @@ class Runner:
             By name: absent, killed, disk-full, timed-out, failed, or `fails`.
         """
         log = self.case / f"log.{tool}"
-        words = self.foam.words(tool, *arguments, case=self.case)
+        words = [*_ending_with_us(), *self.foam.words(tool, *arguments, case=self.case)]
         try:
             with log.open("w", encoding="utf-8") as out:
                 process = subprocess.Popen(
@@ -72,7 +76,7 @@ class Runner:
         except FileNotFoundError as error:
             raise FlowError(f"expected OpenFOAM's {tool}, got no {words[0]} on the PATH; {ASK}", "absent") from error
         except OSError as error:
-            raise self._failed(tool, f"cannot be started: {error}", _by(error, "failed")) from error
+            raise self._failed(tool, f"cannot be started: {error}", by(error)) from error
         try:
             self._mark(process.pid)
             seen_enough = self._wait(process, tool, watch)
@@ -102,7 +106,7 @@ class Runner:
         try:
             (self.case / "running").write_text(str(pid), encoding="ascii")
         except OSError as error:
-            raise self._failed("the case", f"cannot be written: {error}", _by(error, "failed")) from error
+            raise self._failed("the case", f"cannot be written: {error}", by(error)) from error
 
     def _ended(self, tool: str, code: int, text: str, fails: Outcome) -> FlowError:
         """What a tool's exit code and log come to."""
@@ -120,7 +124,8 @@ class Runner:
             return self._failed(
                 tool, f"was ended from outside, by {signal.Signals(number).name}; run it again", "killed"
             )
-        by_itself = number in (0, signal.SIGABRT) and "FOAM FATAL ERROR" in text  # which it may abort with
+        # It may abort with its own error; that a file is not there says nothing of the grid.
+        by_itself = number in (0, signal.SIGABRT) and "FOAM FATAL ERROR" in text and not UNREAD.search(text)
         outcome = "bad-grid" if fails == "bad-grid" and by_itself else "failed"
         return self._failed(tool, f"ended with exit code {code}", outcome)
 
@@ -137,6 +142,17 @@ class Runner:
         with suppress(OSError):
             return shutil.disk_usage(self.case).free < FULL
         return False
+
+
+@lru_cache(maxsize=1)
+def _ending_with_us() -> tuple[str, ...]:
+    """Words before a tool that let the system end it should this process be killed; none where it does not know how."""
+    words = ("setpriv", "--pdeathsig", "KILL")
+    try:
+        done = subprocess.run([*words, "true"], capture_output=True, check=False, timeout=GRACE_S)
+    except (OSError, subprocess.TimeoutExpired):
+        return ()
+    return words if done.returncode == 0 else ()
 
 
 def end_left_over(case: Path) -> None:
@@ -159,8 +175,9 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait(GRACE_S)
 
 
-def _by(error: OSError, otherwise: Outcome) -> Outcome:
-    return "disk-full" if error.errno in (28, 122) else otherwise  # no space, quota
+def by(error: OSError) -> Outcome:
+    """What a file that cannot be written comes to."""
+    return "disk-full" if error.errno in (ENOSPC, EDQUOT) else "failed"
 
 
 def _telling(lines: list[str]) -> list[str]:

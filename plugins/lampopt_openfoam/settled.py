@@ -21,6 +21,7 @@ WILD = 30  # iterations within which a start may be wild
 BOUND = 100.0  # a coefficient beyond it is no flow any more
 PARTS = (4, 5, 6)  # into which what is left is divided
 LIFT = 0.02  # a lift's standard error that is good enough: it may be zero, so no share of it will do
+JUDGED = (WARM, WINDOW, EVERY, WILD, BOUND, *PARTS, LIFT)
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,14 @@ from lampopt.topology import topology
 from lampopt.types import Array
 
 from .outcomes import FlowError
-from .smooth import ROUGH, TOO_ROUGH, roughness, smoothed
+from .smooth import LOCAL, ROUGH, TOO_ROUGH, roughness, smoothed
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 Half = Literal["auto", "yes", "no"]
 
-ALIKE = 0.01  # of the length: how far left and right may be apart (99th percentile) to be solved as one
+ALIKE = 0.003  # of the length: how far left and right may be apart anywhere to be solved as one
 SMALL = 0.1  # of the length: the largest extent of a part that floats and is taken for a leftover
 NEAR = 0.005  # of the length: parts nearer than that touch
 STANDS = 0.02  # of the length: how far above the ground a wheel may end, and how far below the body
@@ -138,7 +138,7 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
     vertices, faces = _in_order(vertices, faces)
     alike, said = _symmetry(vertices, faces, half)
     notes = (*done, *dropped, *mended, *said)
-    return Surface(vertices, faces, length, _frontal_area(vertices, faces), alike, notes)
+    return Surface(vertices, faces, length, _frontal_area(vertices, faces, alike), alike, notes)
 
 
 def axes(wind: str, up: str) -> Array:
@@ -240,16 +240,19 @@ def _check_closed(vertices: Array, faces: Array) -> None:
 
 
 def _smooth(vertices: Array, faces: Array) -> tuple[Array, list[str]]:
-    rough = roughness(vertices, faces)
-    if rough <= ROUGH:
+    rough, local = roughness(vertices, faces)
+    if rough <= ROUGH and local <= LOCAL:
         return vertices, []
-    better = vertices if rough > TOO_ROUGH else smoothed(vertices, faces)
-    if (left := roughness(better, faces)) > ROUGH:
+    better = vertices if max(rough, local) > TOO_ROUGH else smoothed(vertices, faces)
+    left, there = roughness(better, faces)
+    if left > ROUGH or there > TOO_ROUGH:
         raise _refused(
-            f"expected a smooth surface, got one that is rough by {rough:.2%} of the length, more than smoothing can "
-            f"take away (up to {TOO_ROUGH:.2%}); drag would be the roughness's: decode it finer, or smooth it first"
+            f"expected a smooth surface, got one that is rough by {rough:.2%} of the length, {local:.2%} in places, "
+            f"more than smoothing can take away (up to {TOO_ROUGH:.2%}); drag would be the roughness's: decode it "
+            "finer, or smooth it first"
         )
-    return better, [f"smoothed: rough by {rough:.2%} of the length before, {left:.2%} after"]
+    told = f"{rough:.2%} of the length before, {left:.2%} after"
+    return better, [f"smoothed: rough by {told}; in places by {local:.2%}, {there:.2%}"]
 
 
 def _symmetry(vertices: Array, faces: Array, half: Half) -> tuple[bool, list[str]]:
@@ -259,7 +262,7 @@ def _symmetry(vertices: Array, faces: Array, half: Half) -> tuple[bool, list[str
         return False, []
     mirrored = np.ascontiguousarray(vertices * [1, -1, 1])
     apart = np.sqrt(igl.point_mesh_squared_distance(mirrored, vertices, faces)[0])
-    off = float(np.quantile(apart, 0.99))
+    off = float(apart.max())
     if off <= ALIKE:
         said = f"left and right differ by up to {off:.2%} of the length: the side y > 0 is solved"
         return True, [said] if off > 1e-3 else []
@@ -278,9 +281,14 @@ def _in_order(vertices: Array, faces: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(vertices[order]), np.ascontiguousarray(faces[np.lexsort(faces.T[::-1])])
 
 
-def _frontal_area(vertices: Array, faces: Array) -> float:
+def _frontal_area(vertices: Array, faces: Array, half: bool) -> float:
+    """Of the flow that is solved: where that is a half, of it and its mirror image."""
     from trimesh import Trimesh
+    from trimesh.intersections import slice_faces_plane
 
+    if half:
+        side, drawn, _ = slice_faces_plane(vertices, faces, plane_normal=[0, 1, 0], plane_origin=[0, 0, 0])
+        vertices, faces = np.concatenate([side, side * [1, -1, 1]]), np.concatenate([drawn, drawn + len(side)])
     mesh = Trimesh(vertices, faces, process=False)
     try:
         return float(lampopt.measure(lampopt.Spec("frontal-area", forward="-x"), mesh)["frontal_area"])
