@@ -66,12 +66,12 @@ def differ():
 
 def interruptible():
     """Whether Ctrl-C is ignored before, in and after a design."""
-    from lampopt.workers import _interruptible
+    from lampopt.workers import interruptible
 
     def ignored():
         return signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
     before = ignored()
-    with _interruptible():
+    with interruptible():
         inside = ignored()
     return before, inside, ignored()
