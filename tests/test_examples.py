@@ -189,7 +189,7 @@ def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     assert (done.returncode == 0) == (accepted and asked == "as asked")
     held = [float(part) for part in re.findall(r"([\d.]+)% of its range off", done.stdout)]
     assert len(held) == 3 and max(held) <= 1
-    for file in ("drag.png", "design.stl"):
+    for file in ("drag.png", "design.stl", "reference.stl"):
         assert (tmp_path / "out" / file).stat().st_size > 10_000
 
 

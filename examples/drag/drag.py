@@ -152,6 +152,7 @@ def study(args):
     r2 = model.cross_validated["drag"]["r2"]
     told(result, before, bank, predicted, f"labels {solved_at}, R² left out {r2:.2f}", compared)
     shutil.copy(result.folder / "mesh.stl", folder / "design.stl")
+    before.mesh.export(folder / "reference.stl")
     pictures(before.mesh, result.design.mesh, compared[args.level], folder / "drag.png")
     print(
         *(folder / part for part in ("drag.png", "design.stl", f"{result.folder.parent.parent.name}/report.html")),
