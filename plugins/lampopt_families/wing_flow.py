@@ -1,4 +1,4 @@
-"""Lift, drag and pitching moment of any winged mesh: its sections across become an AeroSandbox aircraft."""
+"""Lift, drag and pitching moment of a wing or a flying wing: its sections across become an AeroSandbox aircraft."""
 
 from __future__ import annotations
 
@@ -17,16 +17,23 @@ if TYPE_CHECKING:
 
 STATIONS = (6, 60)  # sections: too few lose the planform, many more tell nothing
 FIRST, LAST = 0.003, 0.985  # of the half span: where the innermost and the outermost section are cut
-ENDS, UNLIKE = 0.05, 1.5  # of the extent across: sections whose chords' ratio tells half models from whole ones
+MODELS = ("", "half", "whole")
+ENDS, CENTRE = 0.05, 0.5015  # of the extent across: where chords tell half models from whole ones
+UNLIKE, LIKE = 1.5, 1.05  # ratios of these chords: from here on unlike, up to here alike
+FACING, RIM, CUT = 0.97, 0.01, 0.6  # a flat end: cosine to y, part of the extent across, part of a section's area
+SECOND = 0.1  # of the chord: a longer second outline in a section is a tail or a pod, a shorter one the mesh's
 
 
 @dataclass(frozen=True)
 class WingFlow:
     """Coefficients of an aircraft, by AeroSandbox (the extra `aero`), of the sections of its mesh.
 
-    x to the rear, y across, z up; a half model, told by its unlike ends, or a whole one. Each section is cut
+    x to the rear, y across, z up; a half model or a whole one, of which the right half counts. Each section is cut
     from the mesh and becomes an airfoil with its chord, twist and height. Of reference are the planform area and the
     mean aerodynamic chord of the sections; the moment is about its quarter, at the noses' mean height.
+
+    It is for one wing or a flying wing: where a section has a second outline (a tail, a pod, a cavity) there is no
+    value. What lies between two sections is not seen.
 
     Parameters
     ----------
@@ -40,6 +47,9 @@ class WingFlow:
         Sections of the half span.
     chord_m
         How long the longest section is in flight [m], which tells Reynolds' number whatever the mesh's unit.
+    model
+        "half" or "whole"; without it a model is whole where its middle is longest, half where one end is, and an
+        untapered one by which of its ends are cut flat. One that both may be has no value.
 
     Raises
     ------
@@ -54,6 +64,7 @@ class WingFlow:
     beta: float = 0.0
     stations: int = 16
     chord_m: float = 1.0
+    model: str = ""
 
     names = COEFFICIENTS
     units = ("",) * len(COEFFICIENTS)
@@ -69,6 +80,10 @@ class WingFlow:
         length = self.chord_m
         if not isinstance(length, int | float) or isinstance(length, bool) or not 0 < length < 1e6:
             raise InputError(f"aerosandbox: chord_m: expected a length in metres, got {length!r:.100}")
+        if self.model not in MODELS:
+            raise InputError(
+                f"aerosandbox: model: expected 'half', 'whole' or '' to see for itself, got {self.model!r:.100}"
+            )
         _ = self._condition
 
     def __call__(self, mesh: Trimesh) -> Array:
@@ -77,11 +92,13 @@ class WingFlow:
         Raises
         ------
         MeasureError
-            If it is no wing: nothing extends along y, a section is open or has no length, vertices are not finite.
+            If it is no wing: nothing extends along y, a section is open, has no length or several outlines, vertices
+            are not finite. If it may be a half model as well as a whole one.
         PluginError
             Without AeroSandbox.
         """
-        cl, cd, cm = evaluated(airplane(mesh, self.stations, self.chord_m), self.method, self._condition, spanwise=1)
+        made = airplane(mesh, self.stations, self.chord_m, self.model)
+        cl, cd, cm = evaluated(made, self.method, self._condition, spanwise=1)
         return np.array([cl, cd, cm, cl / cd])
 
     @property
@@ -105,11 +122,17 @@ class Section:
     twist: float
     outline: Array
 
+    @property
+    def area(self) -> float:
+        """What it encloses."""
+        x, z = self.outline.T
+        return self.chord**2 * abs(float(x @ (np.roll(z, -1) - np.roll(z, 1)))) / 2
 
-def airplane(mesh: Trimesh, stations: int, longest: float) -> Any:
+
+def airplane(mesh: Trimesh, stations: int, longest: float, model: str = "") -> Any:
     """The aircraft of a mesh, its longest chord `longest` metres, as an AeroSandbox `Airplane`."""
     asb = aerosandbox()
-    found = sections(mesh, stations)
+    found = sections(mesh, stations, model)
     metre = longest / max(section.chord for section in found)
     y = metre * np.array([section.y for section in found])
     chord = metre * np.array([section.chord for section in found])
@@ -137,18 +160,13 @@ def airplane(mesh: Trimesh, stations: int, longest: float) -> Any:
     )
 
 
-def sections(mesh: Trimesh, stations: int) -> list[Section]:
+def sections(mesh: Trimesh, stations: int, model: str = "") -> list[Section]:
     """Sections of the half span from the plane of symmetry to the tip, the outer ones nearer to one another."""
     if not np.isfinite(mesh.vertices).all():
         raise MeasureError("aerosandbox: expected finite vertices, got some that are not")
     if len(mesh.faces) == 0 or not np.ptp(mesh.bounds[:, 1]) > 0:
         raise MeasureError("aerosandbox: expected a wing that extends along y, got a mesh without extent across")
-    low, high = mesh.bounds[:, 1].tolist()
-    first, last = (_section(mesh, low + part * (high - low), 0.0).chord for part in (ENDS, 1 - ENDS))
-    if max(first, last) <= UNLIKE * min(first, last):
-        middle, tip = (low + high) / 2, high
-    else:
-        middle, tip = (low, high) if first > last else (high, low)
+    middle, tip = _half_span(mesh, model)
     share = np.linspace(0, 1, stations)
     share = share + 0.15 * np.sin(np.pi * share) / np.pi
     cuts = np.clip(share, FIRST, LAST)
@@ -157,13 +175,58 @@ def sections(mesh: Trimesh, stations: int) -> list[Section]:
     ]
 
 
+def _half_span(mesh: Trimesh, model: str) -> tuple[float, float]:
+    """y of the plane of symmetry and of the tip."""
+    low, high = mesh.bounds[:, 1].tolist()
+    whole, right, left = ((low + high) / 2, high), (low, high), (high, low)
+    if model == "whole":
+        return whole
+    first, centre, last = (_section(mesh, low + at * (high - low), 0.0) for at in (ENDS, CENTRE, 1 - ENDS))
+    shorter, longer = sorted((first.chord, last.chord))
+    if not model and centre.chord > UNLIKE * longer:
+        return whole
+    longer_at_root = left if last.chord > LIKE * first.chord else right
+    if longer > UNLIKE * shorter:
+        return longer_at_root
+    at_low, at_high = _is_cut(mesh, low, first.area), _is_cut(mesh, high, last.area)
+    if at_low != at_high:
+        return right if at_low else left
+    alike = longer <= LIKE * shorter
+    if model or (at_low and not alike):
+        return longer_at_root
+    if alike and not at_low:
+        return whole
+    raise MeasureError(
+        f"aerosandbox: may be a half model or a whole one: {'both ends are' if at_low else 'neither end is'} cut flat, "
+        f"their chords are {first.chord:.4g} and {last.chord:.4g}: say model='half' or model='whole'"
+    )
+
+
+def _is_cut(mesh: Trimesh, end: float, area: float) -> bool:
+    """Whether the mesh ends at y = `end` in a plane, about as large as the section near it, or in an opening."""
+    from trimesh.grouping import group_rows
+
+    near = np.abs(mesh.vertices[:, 1] - end) < RIM * np.ptp(mesh.bounds[:, 1])
+    if near[mesh.edges[group_rows(mesh.edges_sorted, require_count=1)]].all(axis=1).any():
+        return True
+    facing = np.abs(mesh.face_normals[:, 1])
+    flat = near[mesh.faces].all(axis=1) & (facing > FACING)
+    return bool((facing * mesh.area_faces)[flat].sum() > CUT * area)
+
+
 def _section(mesh: Trimesh, at: float, y: float) -> Section:
     cut = mesh.section(plane_origin=[0, at, 0], plane_normal=[0, 1, 0])
-    loops = [] if cut is None else [np.asarray(loop)[:, [0, 2]] for loop in cut.discrete]
-    loops = [loop for loop in loops if len(loop) > 3 and np.allclose(loop[0], loop[-1])]
-    if not loops:
+    curves = [] if cut is None else [np.asarray(curve)[:, [0, 2]] for curve in cut.discrete]
+    curves.sort(key=lambda points: float(np.ptp(points[:, 0])))
+    if not curves or len(curves[-1]) <= 3 or not np.allclose(curves[-1][0], curves[-1][-1]):
         raise MeasureError(f"aerosandbox: the section across at y = {at:.4g} is open or empty: expected a closed wing")
-    loop = max(loops, key=lambda points: np.ptp(points[:, 0]))[:-1]
+    *others, loop = curves
+    if others and np.ptp(others[-1][:, 0]) > SECOND * np.ptp(loop[:, 0]):
+        raise MeasureError(
+            f"aerosandbox: the section across at y = {at:.4g} has a second outline, {np.ptp(others[-1][:, 0]):.4g} "
+            f"long beside one of {np.ptp(loop[:, 0]):.4g}: expected one wing, without tail, pod or cavity"
+        )
+    loop = loop[:-1]
     nose, tail = _end(loop, np.argmin), _end(loop, np.argmax)
     along = tail - nose
     chord = float(np.hypot(*along))
