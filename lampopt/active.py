@@ -3,6 +3,11 @@
 Labelling a bank asks for one solution an exemplar. Here the reference and a few exemplars far apart are measured and a
 plane over the parameters is laid through them; the design that it proposes is made and measured, the plane is moved and
 turned to tell it too, and so on until the target is met or the budget is spent.
+
+A measure with noise is met on the noise that the search saw: of a flow, on the placements of the grid that its designs
+were solved on, which a search may have suited. Confirm the final design, and its reference, on fresh ones:
+``OpenFoamDrag(first=100).compared(design, reference)``, or in a shell ``lampopt flow design.stl --against
+reference.stl --set first=100``.
 """
 
 from __future__ import annotations
@@ -56,7 +61,8 @@ class Trial:
 class Pursuit:
     """What the evaluations led to: the accepted design nearest to `wanted`, a rejected one where none was accepted.
 
-    `met` says whether it is accepted and within the tolerance; `trials` are all that was measured on the way.
+    `met` says whether it is accepted and within the tolerance, by the measure as the search asked it: its noise is in
+    it. `trials` are all that was measured on the way.
     """
 
     result: Result
@@ -89,7 +95,8 @@ def active(
         With a reference, an objective ``Reduce("flow.drag", by=0.1)`` that names a value of one of its `measures`, and
         whatever else it asks (targets, keeps, ranges).
     budget
-        Evaluations of the measure at most, the reference's included.
+        Evaluations of the measure at most, the reference's included. One may be several solver runs: `openfoam-drag`
+        solves as many flows as it has `placements`.
     first
         How many of them are exemplars, the reference included; by default half as many as there are parameters, and
         two more.

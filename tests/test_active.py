@@ -1,14 +1,16 @@
 """Active learning: a dear measure brought to its target with few evaluations, every one of them told."""
 
+import json
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import lampopt
-from lampopt import Maximise, Reduce, Study
+from lampopt import Maximise, Reduce, Study, cli
 from lampopt.active import FARTHEST, spread_out
 from lampopt.errors import InputError, MeasureError, StudyError
 from lampopt.plugins import Plugins
@@ -177,3 +179,68 @@ def test_what_cannot_be_pursued(bank):
         lampopt.active(study(bank, Tunnel()), plugins=PLUGINS, budget=3)
     with pytest.raises(InputError, match="of the reference 'box_5' is nan"):
         lampopt.active(study(bank, Tunnel(longest=2.7), reference="box_5"), plugins=PLUGINS)
+
+
+# from a shell
+
+
+class Wind:
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"tunnel": Tunnel}
+
+
+@pytest.fixture
+def study_file(tmp_path, monkeypatch):
+    plugins = Plugins.load([("small", small.Plugin()), ("offer", Offer()), ("wind", Wind())])
+    small.bank(decoder="blunt", plugins=plugins, store=tmp_path / "boxes.lamp")
+    monkeypatch.setattr(Plugins, "load", lambda: plugins)
+    file = tmp_path / "glide.toml"
+    file.write_text(
+        'bank = "boxes.lamp"\nreference = "box_3"\nkeep = ["width"]\nobjective = { reduce = "flow.drag", by = 0.2 }\n'
+        '[measures]\nflow = { name = "tunnel" }\n'
+    )
+    return file
+
+
+def test_the_command_line_tells_the_same(study_file, tmp_path, capsys):
+    out = tmp_path / "design.stl"
+    given = ["--budget", "10", "--first", "3", "--tolerance", "1e-4", "--out", str(out), "--json"]
+    assert cli.main(["active", str(study_file), *given]) == 0
+    told = json.loads(capsys.readouterr().out)
+    seen = lampopt.active(Study.read(study_file), budget=10, first=3, tolerance=1e-4)
+    assert (told["met"], told["wanted"], told["evaluations"]) == (True, seen.wanted, seen.evaluations)
+    assert told["value"] == pytest.approx(seen.value)
+    assert [t["name"] for t in told["trials"]] == [t.name for t in seen.trials]
+    assert [t["value"] for t in told["trials"]] == pytest.approx([t.value for t in seen.trials])
+    assert [t["predicted"] for t in told["trials"][:4]] == [None] * 3 + [pytest.approx(seen.trials[3].predicted)]
+    assert list(told["trials"][0]["parameters"]) == ["length", "width"]
+    assert told["design"]["accepted"] is True
+    assert told["mesh"] == str(out)
+    assert 0.1 * trimesh.load_mesh(out).volume ** 1.5 == pytest.approx(told["value"], rel=1e-5)
+    assert told["folder"] == str(tmp_path / "runs" / "glide")
+    assert len([*(tmp_path / "runs" / "glide" / "designs").iterdir()]) == told["evaluations"] - 3
+
+
+def test_people_see_a_table_and_whether_it_is_met(study_file, tmp_path, capsys):
+    assert cli.main(["active", str(study_file), "--folder", str(tmp_path / "run")]) == 0
+    out, err = capsys.readouterr()
+    assert out == ""
+    for words in ("against the reference", "design 1", "box_3", "+0.00%", "met by an accepted design", "recorded in"):
+        assert words in err
+    assert cli.main(["active", str(study_file), "--budget", "4", "--first", "3", "--tolerance", "0"]) == 1
+    assert "NOT MET: " in capsys.readouterr().err
+
+
+def test_the_command_line_refuses(study_file, tmp_path, capsys):
+    def refused(*given):
+        assert cli.main(["active", str(study_file), *given, "--json"]) == 2
+        return json.loads(capsys.readouterr().out)["error"]["message"]
+
+    assert "expected a file ending in" in refused("--out", str(tmp_path / "design.xyz"))
+    assert "budget: expected more than the 3 exemplars" in refused("--budget", "3")
+    assert "--first" in refused("--first", "1")
+    assert "tolerance: expected a part" in refused("--tolerance", "2")
+    study_file.write_text(study_file.read_text().replace('objective = { reduce = "flow.drag", by = 0.2 }', ""))
+    assert "expected an objective such as Reduce" in refused()
+    assert not (tmp_path / "runs").exists()

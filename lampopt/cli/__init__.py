@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import click
 
+from lampopt.cli.active import active
 from lampopt.cli.answer import CRASHED, INTERRUPTED, VERBOSE, WRONG, Group, logged_to_stderr, refuse
 from lampopt.cli.bank import bank
 from lampopt.cli.compare import compare
@@ -58,6 +59,7 @@ for command in (
     sweep,
     explore,
     front,
+    active,
     report,
     sensitivities,
     check_plugin,

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 RESUMES = "what is finished is kept, and the same command goes on where it stopped"
-_study = click.argument("study_file", metavar="STUDY", type=click.Path(dir_okay=False, path_type=Path))
-_folder = click.option(
+STUDY = click.argument("study_file", metavar="STUDY", type=click.Path(dir_okay=False, path_type=Path))
+FOLDER = click.option(
     "--folder",
     metavar="FOLDER",
     type=click.Path(file_okay=False, path_type=Path),
@@ -115,9 +115,7 @@ def make(
         **more,
     )
     if out is not None:
-        if out.suffix.lower().lstrip(".") not in FORMATS or not out.parent.is_dir():
-            raise InputError(f"--out {out}: expected a file ending in .{', .'.join(FORMATS)} in a folder that exists")
-        can_be_written("--out", out)
+        can_be_a_mesh("--out", out)
     opened = study.opened()
     with progress_bar("making the design") as progress:
         result = run_study(replace(study, bank=opened), progress=progress, plugins=plugins)
@@ -137,8 +135,8 @@ def make(
 
 
 @click.command(cls=Command, resumes=RESUMES)
-@_study
-@_folder
+@STUDY
+@FOLDER
 @_report
 def run(study_file: Path, folder: Path | None, report: bool) -> Answer:
     """Make the one design that a study file asks for.
@@ -146,7 +144,7 @@ def run(study_file: Path, folder: Path | None, report: bool) -> Answer:
     It is recorded in a folder; a design that is recorded there already is read back, not computed again.
     """
     plugins = Plugins.load().report()
-    study, opened, folder = _opened(study_file, folder)
+    study, opened, folder = opened_study(study_file, folder)
     with progress_bar(f"running {study_file.name}") as progress:
         result = run_study(study, folder, report=report, progress=progress, plugins=plugins)
     document = {"folder": str(folder), **passport(result, opened)}
@@ -155,8 +153,8 @@ def run(study_file: Path, folder: Path | None, report: bool) -> Answer:
 
 
 @click.command(cls=Command, resumes=RESUMES)
-@_study
-@_folder
+@STUDY
+@FOLDER
 @click.option(
     "--set",
     "grid",
@@ -202,7 +200,7 @@ def sweep(
         lampopt sweep study.toml --experiments 64 --method sobol --set roof=1.30,1.42 --set ramp=8,16
     """
     plugins = Plugins.load().report()
-    study, opened, folder = _opened(study_file, folder)
+    study, opened, folder = opened_study(study_file, folder)
     given = {name: _listed(name, text) for name, text in pairs("--set", grid).items()}
     if (count, method, seed) != (None, None, None):
         study = replace(study, sweep={}, experiments=_planned(study, given, count, method, seed))
@@ -239,6 +237,13 @@ def sweep(
     return Answer(document, [shown, counted], REJECTED if rejected else DONE)
 
 
+def can_be_a_mesh(option: str, path: Path) -> None:
+    """Raise InputError, before long work, where no mesh file can be put at `path`."""
+    if path.suffix.lower().lstrip(".") not in FORMATS or not path.parent.is_dir():
+        raise InputError(f"{option} {path}: expected a file ending in .{', .'.join(FORMATS)} in a folder that exists")
+    can_be_written(option, path)
+
+
 def _planned(
     study: Study, given: Mapping[str, Sequence[Value]], count: int | None, method: str | None, seed: int | None
 ) -> Experiments:
@@ -258,7 +263,7 @@ def _planned(
     return Experiments(ranges, count, method, seed)
 
 
-def _opened(study_file: Path, folder: Path | None) -> tuple[Study, Bank, Path]:
+def opened_study(study_file: Path, folder: Path | None) -> tuple[Study, Bank, Path]:
     """The study with its bank opened once, and where its results go: beside it, as its bank's path is meant too."""
     study = Study.read(study_file)
     opened = study.opened()
