@@ -35,7 +35,7 @@ WAYS = ("label, then solve", "active", "cobyla")
 EXAMPLE = ROOT / "examples" / "drag"
 LABELLED = {"level": "coarse", "placements": 3}  # how the labels of the example were made
 HELD = ("length", "width", "roof")
-READ = {"roof": "height"}  # what a measure calls it
+READ = {"roof": "height"}  # what the extents of a car call it
 TURNS = 20
 EXEMPLARS, EDGE_MM = 24, 60.0  # of the example, by default
 
@@ -64,7 +64,8 @@ class Until(Once):
 def asked(studies: Studies, reference: int, held: tuple[str, ...]) -> Callable[[float, Trimesh], bool]:
     """Whether a mesh of such drag is what was asked for, against the reference as the bank makes it."""
     first, space = studies.reference(reference), [q.name for q in studies.bank.space]
-    places = [studies.reading.names.index(READ.get(name, name)) for name in held]
+    told = studies.reading.names
+    places = [told.index(name if name in told else READ[name]) for name in held]
     spread = np.ptp(studies.bank.parameters, axis=0)[[space.index(name) for name in held]]
     start, wanted = first["drag"], np.array(first["parameters"])[places]
 
@@ -114,7 +115,7 @@ def of_flow(bench: Bench, workers: int) -> Studies:
     """The cars of `make drag`, labelled as its seed 0 was; drag is OpenFOAM's on the same placements of the grid."""
     module_at(EXAMPLE / "picture.py")  # which the example imports
     example = module_at(EXAMPLE / "drag.py")
-    cars = example.cached(example.family(bench.cache / "cars", EXEMPLARS, 0, EDGE_MM), EXAMPLE / "labels.csv")
+    cars, _ = example.cached(example.family(bench.cache / "cars", EXEMPLARS, 0, EDGE_MM), EXAMPLE / "labels.csv")
     flow = lampopt.Spec("openfoam-drag", **LABELLED, workers=workers, folder=str((bench.cache / "flows").absolute()))
     drag = Some(bench.plugins.make("measure", flow), ("drag",))
     code: list[object] = ["flow", LABELLED]
