@@ -35,7 +35,7 @@ from typing import Any
 import lampopt
 from benchmarks import resume
 from lampopt.plugins import Plugins
-from lampopt.workers import processes
+from lampopt.pool import processes
 
 WAYS = ("alone", "processes", "dask")
 LOOK = 0.01  # s between two looks at the notes

@@ -29,12 +29,12 @@ from lampopt.identity import whole as all_of
 from lampopt.measured import values_of
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
+from lampopt.pool import interruptible
 from lampopt.progress import silent
 from lampopt.protocols import External, Keeping, Measure, Progress
 from lampopt.reading import brief, path_of, why
 from lampopt.types import Array, Bank, Parameter, Spec, expect_bank
 from lampopt.units import filled, said, whole
-from lampopt.workers import interruptible
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

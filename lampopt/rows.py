@@ -22,7 +22,10 @@ def written_checks(checks: tuple[Check, ...]) -> str:
 def read_checks(text: str) -> tuple[Check, ...]:
     """The checks of a row. Raises ValueError or TypeError where one is none."""
     rows = _expect(list, json.loads(text), "checks")
-    return tuple(Check(name, float("nan") if value is None else value, *rest) for name, value, *rest in rows)
+    return tuple(
+        Check(name, float("nan") if value is None else value, sense, limit, unit, needs, note)
+        for name, value, sense, limit, unit, needs, note in rows
+    )
 
 
 def read_target(text: str) -> dict[str, float]:

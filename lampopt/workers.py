@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import logging
-import os
 import pickle
 import platform
-import signal
 import threading
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -24,6 +21,7 @@ from lampopt.errors import BankError, LampoptError, MeasureError, PluginError, S
 from lampopt.evaluations import Memory
 from lampopt.mixes import Mixes
 from lampopt.plugins import Plugins
+from lampopt.pool import interruptible
 from lampopt.progress import silent
 from lampopt.reading import brief, why
 from lampopt.record import RunFolder
@@ -39,7 +37,6 @@ Target = Mapping[str, float]
 PATIENCE = 1.0  # s between two looks at work that may have been cancelled
 log = logging.getLogger("lampopt")
 OPENING = threading.Lock()
-OURS = threading.Event()  # set in the processes that `processes` starts, and nowhere else
 
 
 def judged(
@@ -318,42 +315,6 @@ def _judge_there(setup: bytes, target: Target, mix: Mix | None, call: str) -> _A
         with OPENING:  # threads of one process would open it once each
             task = _unpacked(setup)
         return _judge(task, target, mix)
-
-
-def processes(count: int) -> Executor:
-    """So many processes of this machine; they end with this one, also if it is killed, and silently at Ctrl-C."""
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    # Spawned, since a fork of a process with threads may hang.
-    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _serve)
-
-
-def _serve() -> None:
-    from multiprocessing import parent_process
-
-    OURS.set()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # but see interruptible
-
-    def follow() -> None:
-        if (parent := parent_process()) is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Let Ctrl-C, which reaches workers too, stop a design; one stopped while it answers would leave us waiting."""
-    if not OURS.is_set():  # what Ctrl-C does in somebody's own process is theirs to say
-        yield
-        return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _packed(task: Task, file: Path | None) -> bytes:

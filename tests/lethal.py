@@ -66,7 +66,7 @@ def differ():
 
 def interruptible():
     """Whether Ctrl-C is ignored before, in and after a design."""
-    from lampopt.workers import interruptible
+    from lampopt.pool import interruptible
 
     def ignored():
         return signal.getsignal(signal.SIGINT) is signal.SIG_IGN

@@ -62,7 +62,7 @@ LAYERS = (
     {"study"},
     {"identity", "wishes", "closing"},
     {"task"},
-    {"crew"},
+    {"crew", "pool"},
     {"label"},
     {"workers"},
     {"reporting"},

@@ -13,7 +13,7 @@ import lampopt
 from lampopt import Spec
 from lampopt.errors import BankError, InputError, MeasureError, SweepError
 from lampopt.partial import Partial
-from lampopt.workers import processes
+from lampopt.pool import processes
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small

@@ -214,7 +214,7 @@ def test_threads_of_one_worker_open_the_bank_once(bank, tmp_path, monkeypatch):
 
 
 def test_our_own_processes_can_be_interrupted_in_a_design_and_nowhere_else():
-    with lampopt.workers.processes(1) as executor:
+    with processes(1) as executor:
         assert executor.submit(lethal.interruptible).result() == (True, False, True)
 
 

@@ -20,9 +20,9 @@ from rich.table import Table
 import lampopt
 from lampopt.errors import InputError, LampoptError
 from lampopt.plugins import Plugins
+from lampopt.pool import processes
 from lampopt.progress import progress_bar
 from lampopt.types import Parameter, Spec
-from lampopt.workers import processes
 
 HERE = Path(__file__).parent
 HELD = {"length": "extents.length", "width": "extents.width", "roof": "extents.height"}

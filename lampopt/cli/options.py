@@ -11,9 +11,9 @@ from typing import TypeVar
 
 from lampopt.errors import InputError
 from lampopt.plugins import Plugins, known_options
+from lampopt.pool import processes
 from lampopt.reading import brief, why
 from lampopt.types import Scalar, Spec
-from lampopt.workers import processes
 
 T = TypeVar("T")
 TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
