@@ -19,8 +19,9 @@ import numpy as np
 import pytest
 
 import lampopt
-from lampopt import Study, pool, results
+from lampopt import Study, results
 from lampopt.errors import BankError, InputError, PluginError, StudyError, SweepError
+from lampopt.pool import processes as own_processes
 
 HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
@@ -214,7 +215,7 @@ def test_threads_of_one_worker_open_the_bank_once(bank, tmp_path, monkeypatch):
 
 
 def test_our_own_processes_can_be_interrupted_in_a_design_and_nowhere_else():
-    with pool.processes(1) as executor:
+    with own_processes(1) as executor:
         assert executor.submit(lethal.interruptible).result() == (True, False, True)
 
 
