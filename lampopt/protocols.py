@@ -199,6 +199,15 @@ class Follow(Protocol):
 
 
 @runtime_checkable
+class Corresponding(Protocol):
+    """A decoder whose exemplars have to share one connectivity, so that their vertices correspond."""
+
+    @property
+    def corresponding(self) -> bool:
+        """Whether they have to."""
+
+
+@runtime_checkable
 class Displace(Protocol):
     """A decoder that moves points near its template along with the design."""
 

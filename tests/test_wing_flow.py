@@ -179,6 +179,11 @@ def test_lift_follows_the_angle_of_attack():
     )
 
 
+def test_without_drag_there_is_no_lift_over_it(monkeypatch):
+    monkeypatch.setattr("lampopt_families.wing_flow.evaluated", lambda *args, **options: (0.3, -0.001, 0.0))
+    np.testing.assert_array_equal(WingFlow(method="vlm")(aircraft()), [0.3, -0.001, 0.0, np.nan])
+
+
 def test_what_is_no_wing():
     open_ended = shapes.box([1, 1, 1])
     open_ended.update_faces(open_ended.face_normals[:, 0] < 0.5)

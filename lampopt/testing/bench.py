@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lampopt.protocols import Decoder
+from lampopt.protocols import Corresponding, Decoder
 from lampopt.testing import shapes
 from lampopt.testing.engine import changed_states, random_state, read_only
 from lampopt.types import Array
@@ -53,10 +53,21 @@ def writable(shared: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def meshes_for(decoder: Decoder) -> tuple[float, tuple[Trimesh, ...]]:
-    """Half the box's shortest side, and a box, a box 1.2 times longer, an ellipsoid, at 0.6 of it and less."""
+    """Half the box's shortest side, and a box, a box 1.2 times longer, an ellipsoid, at 0.6 of it and less.
+
+    Each has triangles of its own, but for decoders that need the same ones.
+    """
+    from trimesh import Trimesh
+
     low, high = np.asarray(decoder.bounds, float)
     centre, half = (low + high) / 2, float((high - low).min()) / 2
     size = half * np.array([1.0, 0.7, 0.6])
+    if isinstance(decoder, Corresponding) and decoder.corresponding:
+        one = shapes.box(size, centre=centre, divisions=3)
+        ways = np.asarray(one.vertices) - centre
+        round_ = ways / np.linalg.norm(ways / (0.55 * size), axis=1, keepdims=True)
+        at = (ways, ways * [1.2, 1, 1], round_)
+        return half, tuple(Trimesh(centre + vertices, one.faces, process=False) for vertices in at)
     return half, (
         shapes.box(size, centre=centre),
         shapes.box(size * [1.2, 1, 1], centre=centre, divisions=3),

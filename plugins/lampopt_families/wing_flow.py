@@ -99,7 +99,7 @@ class WingFlow:
         """
         made = airplane(mesh, self.stations, self.chord_m, self.model)
         cl, cd, cm = evaluated(made, self.method, self._condition, spanwise=1)
-        return np.array([cl, cd, cm, cl / cd])
+        return np.array([cl, cd, cm, cl / cd if cd > 0 else np.nan])  # a lattice has none where sections jump
 
     @property
     def _condition(self) -> Condition:

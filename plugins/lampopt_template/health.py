@@ -44,25 +44,25 @@ def health_checks(template: Template, weights: Array, vertices: Array) -> list[C
     moved = Surface(vertices, faces)
     over = (turned * moved.normals).sum(1) <= 0
     flipped = float(moved.areas[over].sum() / max(moved.areas.sum(), 1e-300))
-    crossing = len(self_intersections(template.mesh(vertices), most=1000))
-    quality = least_quality(vertices, faces) / max(template.quality, 1e-12)
     worst = vertices[faces[int(volume.argmin())]].mean(0)
-    note = "least volume ratio of the motion, at " + ", ".join(f"{x:.3f}" for x in worst) + " [box]"
+    least = "least volume ratio of the motion, at " + ", ".join(f"{x:.3f}" for x in worst) + " [box]"
+    against = f"share of the area ({over.sum()} faces) against the motion"
     return [
-        Check(
-            "jacobian",
-            float(volume.min()),
-            ">=",
-            LEAST,
-            "",
-            "mesh",
-            note,
-        ),
-        Check(
-            "flipped", flipped, "<=", FLIPPED, "", "mesh", f"share of the area ({over.sum()} faces) against the motion"
-        ),
+        Check("jacobian", float(volume.min()), ">=", LEAST, "", "mesh", least),
+        Check("flipped", flipped, "<=", FLIPPED, "", "mesh", against),
+        *surface_checks(moved, template.quality),
+    ]
+
+
+def surface_checks(surface: Surface, quality: float) -> list[Check]:
+    """Whether `surface` passes through itself, and how well formed its triangles are beside exemplars' `quality`."""
+    from trimesh import Trimesh
+
+    crossing = len(self_intersections(Trimesh(surface.vertices, surface.faces, process=False), most=1000))
+    formed = least_quality(surface.vertices, surface.faces) / max(quality, 1e-12)
+    return [
         Check("crossing", float(crossing), "=", 0.0, "pairs", "mesh", "faces that pass through each other"),
-        Check("quality", quality, ">=", FORMED, "", "mesh", "of the worst hundredth of triangles, by the exemplars'"),
+        Check("quality", formed, ">=", FORMED, "", "mesh", "of the worst hundredth of triangles, by the exemplars'"),
     ]
 
 

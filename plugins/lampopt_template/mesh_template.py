@@ -26,7 +26,7 @@ from lampopt_template.registration import Registration
 from lampopt_template.remesh import edge_of, remeshed
 from lampopt_template.specks import without_specks
 from lampopt_template.surface import Surface
-from lampopt_template.template import AXES, Template, mirrored_half
+from lampopt_template.template import AXES, FADE, Template, mirrored_half
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -35,7 +35,6 @@ STIFFEST = 1.0  # what registration begins with: hardly more than an affine map
 STEP = 100.0  # each stiffness over the next one
 MARGIN = 0.05  # of the lattice around the template [template's size]
 PILOTS = 6  # exemplars that are registered to find where the lattice wants to be finer
-FADE = 0.5  # over what distance from the lattice a motion of space dies away [template's size]
 log = logging.getLogger("lampopt")
 T = TypeVar("T")
 U = TypeVar("U")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")
 BLOCK = 100_000  # points that are moved at once
+FADE = 0.5  # over what distance from a template a motion of space dies away [template's size]
 ARRAYS = ("vertices", "faces", "twins", "plane", "low", "cell", "spans", "chosen", "quality")
 
 
@@ -130,7 +131,7 @@ class Template:
         for first in range(0, len(points), BLOCK):
             block = moved[first : first + BLOCK]
             inside = self._inside(block)
-            share = _dying(np.linalg.norm(block - inside, axis=1) / fade)[:, None]
+            share = dying(np.linalg.norm(block - inside, axis=1) / fade)[:, None]
             near = share[:, 0] > 0
             own = self._beside(block[near])(weights)
             block[near] += self.space.displacement(inside[near], coefficients) * share[near] + own
@@ -147,7 +148,7 @@ class Template:
         near = self.surface.near(points)
         faces = self.surface.faces[near.faces]
         away = np.linalg.norm(points - near.points, axis=1) / self.space.coarse.cell
-        beside = near.weights * _dying(away)[:, None]
+        beside = near.weights * dying(away)[:, None]
 
         def carried(weights: Array) -> Array:
             along = self.parts(weights)[1]
@@ -217,7 +218,7 @@ class Template:
         return Trimesh(vertices, self.surface.faces, process=False)
 
 
-def _dying(distance: Array) -> Array:
+def dying(distance: Array) -> Array:
     """1 at distance 0, 0 from 1 on, smooth between."""
     return np.asarray((1 - np.minimum(distance, 1) ** 2) ** 2)
 
