@@ -25,7 +25,7 @@ def _serve() -> None:
     from multiprocessing import parent_process
 
     OURS.set()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # but see interruptible
+    signal.signal(signal.SIGINT, _noted)
 
     def follow() -> None:
         if (parent := parent_process()) is not None:
@@ -35,14 +35,31 @@ def _serve() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
+def _noted(*_: object) -> None:
+    """Ctrl-C between two designs: from now on it is ignored, which says that no other is to be begun."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _raised(*_: object) -> None:
+    """Ctrl-C in a design."""
+    _noted()
+    raise KeyboardInterrupt
+
+
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let Ctrl-C, which reaches workers too, stop a design; one stopped while it answers would leave us waiting."""
+    """Let Ctrl-C, which reaches workers too, stop a design; one stopped while it answers would leave us waiting.
+
+    A worker that it has reached begins no other design, though some wait in its queue, from where none is called back.
+    """
     if not OURS.is_set():  # what Ctrl-C does in somebody's own process is theirs to say
         yield
         return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        raise KeyboardInterrupt
+    signal.signal(signal.SIGINT, _raised)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if signal.getsignal(signal.SIGINT) is _raised:
+            signal.signal(signal.SIGINT, _noted)

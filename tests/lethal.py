@@ -2,6 +2,7 @@
 
 import os
 import signal
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,14 +65,20 @@ def differ():
     lampopt.task.version = lambda name: "9"
 
 
-def interruptible():
-    """Whether Ctrl-C is ignored before, in and after a design."""
+def interrupted(when):
+    """What is done in a worker that Ctrl-C reaches before, in or after a design, or never."""
     from lampopt.pool import interruptible
 
-    def ignored():
-        return signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    done = []
 
-    before = ignored()
-    with interruptible():
-        inside = ignored()
-    return before, inside, ignored()
+    def press(now):
+        if when == now:
+            signal.raise_signal(signal.SIGINT)
+        done.append(now)
+
+    press("before")
+    with suppress(KeyboardInterrupt), interruptible():
+        press("in")
+        done.append("designed")
+    press("after")
+    return done

@@ -214,9 +214,19 @@ def test_threads_of_one_worker_open_the_bank_once(bank, tmp_path, monkeypatch):
     assert len(opened) == 2  # here, and there
 
 
-def test_our_own_processes_can_be_interrupted_in_a_design_and_nowhere_else():
+@pytest.mark.parametrize(
+    ("when", "done", "then"),
+    [
+        ("never", ["before", "in", "designed", "after"], ["before", "in", "designed", "after"]),
+        ("before", ["before", "after"], ["before", "after"]),
+        ("in", ["before", "after"], ["before", "after"]),
+        ("after", ["before", "in", "designed", "after"], ["before", "after"]),
+    ],
+)
+def test_our_own_processes_are_interrupted_in_a_design_alone_and_begin_no_other(when, done, then):
     with own_processes(1) as executor:
-        assert executor.submit(lethal.interruptible).result() == (True, False, True)
+        assert executor.submit(lethal.interrupted, when).result() == done
+        assert executor.submit(lethal.interrupted, "never").result() == then
 
 
 def test_what_a_worker_raises_is_raised_here(bank, tmp_path, processes):
