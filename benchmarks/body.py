@@ -52,7 +52,7 @@ class Body:
     @property
     def size(self) -> tuple[int, int, float, int]:
         """Exemplars, targets a factor, pitch [m], samples of a judged surface."""
-        return (12, 2, 0.12, 2_000) if self.bench.quick else (24, 16, 0.04, 20_000)
+        return (12, 2, 0.08, 2_000) if self.bench.quick else (24, 16, 0.04, 20_000)
 
     @property
     def factors(self) -> tuple[float, ...]:
