@@ -2,6 +2,7 @@
 
     python -m benchmarks.flow --study ahmed --levels coarse,medium
     python -m benchmarks.flow --study repeatability --levels coarse
+    python -m benchmarks.flow --study refinement --levels coarse,medium,fine
     python -m benchmarks.flow --study pairs
     python -m benchmarks.flow --study hostile
     python -m benchmarks.flow --study outcomes
@@ -101,6 +102,21 @@ def repeatability(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
         for name in args.bodies:
             made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
             rows.append(told(lambda made=made, name=name: made.solve(judge.body(name)), name=name, level=level))
+            args.tell(rows[-1])
+    return rows
+
+
+def refinement(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
+    """Each body on several levels, and its drag extrapolated to a grid without error (Richardson)."""
+    rows = []
+    for name in args.bodies:
+        made = drag(args.cache, workers=args.workers, placements=args.placements)
+        study = made.refined(judge.body(name), args.levels)
+        rows += [told(lambda flow=flow: flow, name=name, level=level) for level, flow in study.flows.items()]
+        rows += [{"name": name, "level": level, "outcome": why} for level, why in study.failures.items()]
+        if (found := study.drag) is not None:
+            row = {"name": name, "level": "extrapolated", "outcome": found.message, "drag": found.value}
+            rows.append({**row, "error": found.error, "noise": found.noise, "order": found.order})
             args.tell(rows[-1])
     return rows
 
@@ -275,7 +291,14 @@ def _filling(folder: Path, when: Callable[[], bool]) -> Iterator[None]:
     filler.unlink(missing_ok=True)
 
 
-STUDIES = {"ahmed": ahmed, "repeatability": repeatability, "pairs": pairs, "hostile": hostile, "outcomes": outcomes}
+STUDIES = {
+    "ahmed": ahmed,
+    "repeatability": repeatability,
+    "refinement": refinement,
+    "pairs": pairs,
+    "hostile": hostile,
+    "outcomes": outcomes,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -310,7 +333,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _table(study: str, rows: Sequence[Row]) -> Table:
-    names = ("name", "level", "outcome", "drag", "error", "scatter", "experiment", "off", "cells", "seconds", "notes")
+    names = ("name", "level", "outcome", "drag", "error", "noise", "scatter", "experiment", "off", "cells", "seconds")
+    names += ("notes",)
     shown = [name for name in names if any(name in row for row in rows)]
     table = Table(*shown, title=study)
     for row in rows:
