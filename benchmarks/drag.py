@@ -175,18 +175,61 @@ def of_body(body: Body, notes: list[str]) -> Studies:
     return Studies(bench, bank, Once(Drag(judge.drag)), Once(reading), [source(inverse), body.where(np.zeros(0))])
 
 
+@dataclass(frozen=True, eq=False)
+class Setbacks:
+    """Measure: the values B, C, S of `of`, in place of each panel's sweep how far its outer end is set back."""
+
+    of: Measure
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"X{name[1:]}" if name.startswith("S") else name for name in self.of.names)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return tuple("L" for _ in self.of.names)
+
+    def __call__(self, mesh: Trimesh) -> Array:
+        return set_back(self.of.names, self.of(mesh))
+
+
+def set_back(names: Sequence[str], parameters: Array) -> Array:
+    """Parameters (..., d) with B tan S in place of S [deg]: shapes are linear in them, at one number of strips."""
+    found, places = np.array(parameters), {name: k for k, name in enumerate(names)}
+    for name in (name for name in names if name.startswith("S")):
+        width = found[..., places[f"B{name[1:]}"]]
+        found[..., places[name]] = width * np.tan(np.radians(found[..., places[name]]))
+    return found
+
+
 def of_aircraft(bench: Bench) -> Studies:
-    """Blended wing bodies; drag is AeroBuildup's."""
+    """Blended wing bodies by widths, chords and setbacks; drag is AeroBuildup's."""
     family = bench.plugins.make("source", lampopt.Spec("bwb", count=AIRCRAFT, seed=bench.seed, labels="aerobuildup"))
     with bench.stage(f"{BWB}: labels of {AIRCRAFT}"):
         found = family()
     place = [q.name for q in found.label_space].index("cd_aerobuildup")
-    found = replace(found, labels=found.labels[:, [place]], label_space=(Parameter("drag"),))
-    flow, shape = (bench.plugins.make("measure", name) for name in ("aerosandbox", "bwb"))
-    names = tuple(q.name for q in found.space)
+    flow, angles = (bench.plugins.make("measure", name) for name in ("aerosandbox", "bwb"))
+    told = [q.name for q in found.space]
+    shape = Setbacks(Some(angles, tuple(told)))
+    names = shape.names
+    found = replace(
+        found,
+        parameters=set_back(told, found.parameters),
+        space=tuple(
+            q if q.name == name else Parameter(name, found.unit) for q, name in zip(found.space, names, strict=True)
+        ),
+        measured={name: address for name, address in found.measured.items() if name in names},
+        mesh_at=None,
+        labels=found.labels[:, [place]],
+        label_space=(Parameter("drag"),),
+    )
     drag = Drag(lambda mesh: flow(mesh)[flow.names.index("cd")])
     return Studies(
-        bench, bench.bank(BWB, found, bench.decoder), Once(drag), Once(Some(shape, names)), [BWB, source(type(flow))]
+        bench,
+        bench.bank(BWB, found, bench.decoder),
+        Once(drag),
+        Once(shape),
+        [BWB, source(type(flow)), source(set_back)],
     )
 
 

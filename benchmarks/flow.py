@@ -83,6 +83,7 @@ def ahmed(args: argparse.Namespace, _: ModuleType) -> list[Row]:
         made = drag(
             args.cache,
             level=level,
+            half=args.half,
             workers=args.workers,
             placements=args.placements,
             ground="fixed",
@@ -100,7 +101,7 @@ def repeatability(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     rows = []
     for level in args.levels:
         for name in args.bodies:
-            made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
+            made = drag(args.cache, level=level, half=args.half, workers=args.workers, placements=args.placements)
             rows.append(told(lambda made=made, name=name: made.solve(judge.body(name)), name=name, level=level))
             args.tell(rows[-1])
     return rows
@@ -110,7 +111,7 @@ def refinement(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     """Each body on several levels, and its drag extrapolated to a grid without error (Richardson)."""
     rows = []
     for name in args.bodies:
-        made = drag(args.cache, workers=args.workers, placements=args.placements)
+        made = drag(args.cache, half=args.half, workers=args.workers, placements=args.placements)
         study = made.refined(judge.body(name), args.levels)
         rows += [told(lambda flow=flow: flow, name=name, level=level) for level, flow in study.flows.items()]
         rows += [{"name": name, "level": level, "outcome": why} for level, why in study.failures.items()]
@@ -125,7 +126,7 @@ def pairs(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     """One parameter changed at a time: what is told from how many placements."""
     rows = []
     for level in args.levels:
-        made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
+        made = drag(args.cache, level=level, half=args.half, workers=args.workers, placements=args.placements)
         for name in args.bodies:
             base = judge.body(name)
             for parameter, by in CHANGES.items():
@@ -180,7 +181,7 @@ def hostile(args: argparse.Namespace, judge: ModuleType) -> list[Row]:
     """Meshes with something wrong: cleaned with a note, or refused; drag beside that of the mesh as it should be."""
     rows = []
     for level in args.levels:
-        made = drag(args.cache, level=level, workers=args.workers, placements=args.placements)
+        made = drag(args.cache, level=level, half=args.half, workers=args.workers, placements=args.placements)
         good: list[float] = []
         for name, mesh in spoilt(judge.body(args.bodies[0])).items():
             rows.append(told(lambda mesh=mesh, made=made: made.solve(mesh), name=name, level=level))
@@ -307,6 +308,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--levels", default="coarse", help="coarse, medium, fine, separated by commas")
     parser.add_argument("--bodies", default="Hybrid", help="of the judge, separated by commas")
     parser.add_argument("--placements", type=int, default=3)
+    parser.add_argument("--half", choices=("auto", "yes", "no"), default="auto", help="one half of the body is solved")
     parser.add_argument("--workers", type=int, default=1, help="flows at a time")
     parser.add_argument("--small", type=Path, help="outcomes: a folder on a disk of some 100 MB, to be filled up")
     parser.add_argument("--cache", type=Path, default=Path("runs/flows"), help="where flows are kept")
@@ -323,7 +325,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LampoptError as error:
         talk.print(f"[bold red]error[/bold red] {error}", highlight=False)
         return 2
-    document = stamped(f"flow-{args.study}", levels=args.levels, bodies=args.bodies, placements=args.placements)
+    document = stamped(
+        f"flow-{args.study}", levels=args.levels, bodies=args.bodies, placements=args.placements, half=args.half
+    )
     document |= {"rows": rows, "seconds": round(time.perf_counter() - began, 1)}
     name = "-".join(["flow", args.study, *args.levels])
     put(document, args.out and args.out / f"{name}.json", out=args.json)
