@@ -90,4 +90,4 @@ def clusters(thing: object) -> bool:
     frames = [frame for frame, _ in walk_tb(thing.__traceback__)] if isinstance(thing, Exception) else []
     if not frames or frames[-1].f_globals.get("__name__") != "distributed.cfexecutor":
         return False
-    return getattr(frames[-1].f_locals.get("future"), "status", "error") != "error"
+    return bool(frames[-1].f_locals.get("status", "error") != "error")

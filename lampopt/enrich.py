@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lampopt.bank import decoder_of
+from lampopt.decode import decode
 from lampopt.errors import InputError, MeasureError
 from lampopt.identity import whole
 from lampopt.joining import Meshes, Newcomer, chosen_of, given_by, named
@@ -20,7 +22,7 @@ from lampopt.loop import results
 from lampopt.measured import following_ratio, measure_each, resolve_address, values_of
 from lampopt.members import add_exemplars
 from lampopt.plugins import Plugins
-from lampopt.protocols import Measure, Progress
+from lampopt.protocols import Corresponding, Measure, Progress
 from lampopt.reading import brief, path_of
 from lampopt.study import Study
 from lampopt.types import Array, Bank, Exemplars, Parameter, Result, Scalar, expect_bank
@@ -98,7 +100,7 @@ def enrich(
     given = Exemplars(
         parameters=np.stack([newcomer.result.design.predicted for newcomer in chosen]),
         space=tuple(Parameter(q.name, q.unit) for q in maker.space),
-        meshes=Meshes(chosen),
+        meshes=_meshes(maker, chosen, plugins),
         names=tuple(newcomer.name for newcomer in chosen),
         unit=maker.frame.unit,
     )
@@ -113,6 +115,14 @@ def enrich(
     ways = {name: way if isinstance(way, str) else "given" for name, way in (labels or {}).items()}
     told = _records(chosen, whole(maker), ways)
     return add_exemplars(bank, given, store=store, accept=accept, provenance=told, progress=progress, plugins=plugins)
+
+
+def _meshes(maker: Bank, chosen: Sequence[Newcomer], plugins: Plugins) -> Meshes:
+    """As they were recorded; decoded anew where vertices are to correspond, since files number them as they like."""
+    decoder = decoder_of(maker, plugins)
+    if not isinstance(decoder, Corresponding):
+        return Meshes(chosen)
+    return Meshes(chosen, lambda newcomer: decode(maker, decoder, newcomer.result.design.weights))
 
 
 def _as_measured(maker: Bank, given: Exemplars, chosen: Sequence[Newcomer], plugins: Plugins) -> Array:

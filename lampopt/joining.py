@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
@@ -49,6 +49,7 @@ class Meshes(Sequence["Trimesh"]):
     """The designs' meshes; every access makes or loads one anew, and none is kept."""
 
     newcomers: Sequence[Newcomer]
+    make: Callable[[Newcomer], Trimesh] = Newcomer.mesh
 
     def __len__(self) -> int:
         return len(self.newcomers)
@@ -58,7 +59,9 @@ class Meshes(Sequence["Trimesh"]):
     @overload
     def __getitem__(self, index: slice) -> Meshes: ...
     def __getitem__(self, index: int | slice) -> Any:
-        return Meshes(self.newcomers[index]) if isinstance(index, slice) else self.newcomers[index].mesh()
+        if isinstance(index, slice):
+            return Meshes(self.newcomers[index], self.make)
+        return self.make(self.newcomers[index])
 
 
 def named(result: Result, maker: Bank, name: str | None = None) -> Newcomer:

@@ -55,9 +55,8 @@ def interruptible() -> Iterator[None]:
     if not OURS.is_set():  # what Ctrl-C does in somebody's own process is theirs to say
         yield
         return
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        raise KeyboardInterrupt
-    signal.signal(signal.SIGINT, _raised)
+    if signal.signal(signal.SIGINT, _raised) is signal.SIG_IGN:
+        _raised()
     try:
         yield
     finally:

@@ -200,11 +200,10 @@ class Follow(Protocol):
 
 @runtime_checkable
 class Corresponding(Protocol):
-    """A decoder whose exemplars have to share one connectivity, so that their vertices correspond."""
+    """A decoder whose exemplars have to share one connectivity: their vertices correspond as they come."""
 
-    @property
-    def corresponding(self) -> bool:
-        """Whether they have to."""
+    def corresponds(self, shared: Shared, mesh: Trimesh) -> bool:
+        """Whether `mesh` has that connectivity."""
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ import numpy as np
 
 from lampopt.errors import StudyError
 from lampopt.mix import mixed_weights
-from lampopt.protocols import Adjoint, Decoder, Displace
+from lampopt.protocols import Adjoint, Corresponding, Decoder, Displace
 from lampopt.terms import Distance, shaped
 from lampopt.types import Array, Bank, Term
 
@@ -142,9 +142,10 @@ def safeguard(
         term = Mismatch(name, bank, decoder, whole, active)
         return shaped(f"safe {name}", term, offset=limit, factor=1 / max(limit, 1e-9))
     if name == "jacobian":
-        if not isinstance(decoder, Displace):
+        if not isinstance(decoder, Displace) or isinstance(decoder, Corresponding):
             raise StudyError(
-                f"safe: 'jacobian' is of decoders that move a template, and {bank.decoder.name!r} does not"
+                f"safe: 'jacobian' is of decoders that move space and a template in it, and {bank.decoder.name!r} does "
+                "not"
             )
         return shaped(f"safe {name}", LeastJacobian(name, bank, decoder, active), offset=LEAST, factor=-1.0)
     raise StudyError(f"safe: expected one of {', '.join(NAMES)}, got {name!r}")

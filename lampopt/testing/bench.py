@@ -62,7 +62,7 @@ def meshes_for(decoder: Decoder) -> tuple[float, tuple[Trimesh, ...]]:
     low, high = np.asarray(decoder.bounds, float)
     centre, half = (low + high) / 2, float((high - low).min()) / 2
     size = half * np.array([1.0, 0.7, 0.6])
-    if isinstance(decoder, Corresponding) and decoder.corresponding:
+    if isinstance(decoder, Corresponding):
         one = shapes.box(size, centre=centre, divisions=3)
         ways = np.asarray(one.vertices) - centre
         round_ = ways / np.linalg.norm(ways / (0.55 * size), axis=1, keepdims=True)

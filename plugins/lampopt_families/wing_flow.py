@@ -87,7 +87,7 @@ class WingFlow:
         _ = self._condition
 
     def __call__(self, mesh: Trimesh) -> Array:
-        """Coefficients of lift, drag and pitching moment, and lift over drag (4,).
+        """Coefficients of lift, drag and pitching moment, and lift over drag (4,), which is NaN where there is no drag.
 
         Raises
         ------

@@ -9,6 +9,7 @@ from lampopt.types import Array, Check
 from lampopt_template.surface import Surface
 from lampopt_template.template import Template
 
+MANY = 1000
 WORST = 1.0  # percent of triangles that are looked at when their shape is judged
 LEAST = 0.05  # volume that a place keeps at least, in parts of what it was: near 0 space folds
 FLIPPED = 1e-4  # share of the area that may be turned over: a sliver or two, where the surface is creased
@@ -16,14 +17,15 @@ FORMED = 0.4  # quality of triangles that is left at least, in parts of the exem
 
 
 def least_quality(vertices: Array, faces: Array) -> float:
-    """How well formed the worst hundredth of the triangles is at best: 1 equilateral, 0 without area.
+    """How well formed the worst hundredth of the triangles is at best: 1 equilateral, 0 without area."""
+    return float(np.percentile(qualities(vertices, faces), WORST))
 
-    A triangle's quality is 4 √3 area / Σ edge² (Bank and Smith 1997).
-    """
+
+def qualities(vertices: Array, faces: Array) -> Array:
+    """(F,) how well formed triangles are: 4 √3 area / Σ edge² (Bank and Smith 1997)."""
     corners = vertices[faces]
     squares = ((corners - np.roll(corners, 1, 1)) ** 2).sum((1, 2))
-    quality = 4 * np.sqrt(3) * Surface(vertices, faces).areas / np.where(squares > 0, squares, 1.0)
-    return float(np.percentile(quality, WORST))
+    return np.asarray(4 * np.sqrt(3) * Surface(vertices, faces).areas / np.where(squares > 0, squares, 1.0))
 
 
 def gradients(template: Template, weights: Array, points: Array) -> Array:
@@ -54,16 +56,35 @@ def health_checks(template: Template, weights: Array, vertices: Array) -> list[C
     ]
 
 
-def surface_checks(surface: Surface, quality: float) -> list[Check]:
-    """Whether `surface` passes through itself, and how well formed its triangles are beside exemplars' `quality`."""
-    from trimesh import Trimesh
+def surface_checks(
+    surface: Surface, quality: float, sound: Array | slice = slice(None), crossing: int = 0
+) -> list[Check]:
+    """Whether `surface` passes through itself, and how well formed its triangles are, beside exemplars' own values.
 
-    crossing = len(self_intersections(Trimesh(surface.vertices, surface.faces, process=False), most=1000))
-    formed = least_quality(surface.vertices, surface.faces) / max(quality, 1e-12)
+    Parameters
+    ----------
+    surface
+        A design's.
+    quality
+        `least_quality` of exemplars, over the `sound` faces.
+    sound
+        (F,) which faces count.
+    crossing
+        How many pairs of faces pass through each other on exemplars.
+    """
+    formed = least_quality(surface.vertices, surface.faces[sound]) / max(quality, 1e-12)
+    note = "faces that pass through each other"
     return [
-        Check("crossing", float(crossing), "=", 0.0, "pairs", "mesh", "faces that pass through each other"),
+        Check("crossing", float(crossings(surface)), "<=", float(crossing), "pairs", "mesh", note),
         Check("quality", formed, ">=", FORMED, "", "mesh", "of the worst hundredth of triangles, by the exemplars'"),
     ]
+
+
+def crossings(surface: Surface) -> int:
+    """Pairs of faces that pass through each other, counted up to `MANY`."""
+    from trimesh import Trimesh
+
+    return len(self_intersections(Trimesh(surface.vertices, surface.faces, process=False), most=MANY))
 
 
 def _cofactors(matrices: Array) -> Array:
