@@ -406,7 +406,7 @@ def test_safety_holds_the_mismatch_and_is_judged_elsewhere():
 
 def test_safety_that_means_nothing_is_refused(bank):
     plain = small.bank(plugins=PLUGINS)
-    with pytest.raises(StudyError, match="'jacobian' is of decoders that move a template"):
+    with pytest.raises(StudyError, match="'jacobian' is of decoders that move space and a template"):
         run(plain, targets={"length": 2.5}, safe=("jacobian",))
     with pytest.raises(
         StudyError, match=r"safe: \['quality'\] cannot be kept by a solver; what can are alpha, mismatch"
