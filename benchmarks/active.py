@@ -4,7 +4,8 @@ Three ways to one wish, the cases of benchmarks/drag.py: every exemplar labelled
 which measures a few; COBYLA on the measure itself. Every mesh that a way has drag measured on counts once, those of the
 exemplars and the reference too, up to the first design that is within half a percent of the reference's drag from the
 target and has what is held, as it is read from the mesh, within a hundredth of its range from the reference's. With
-`--flow` drag is OpenFOAM's, of the cars of `make drag` with their labels, length, width and roof held.
+`--flow` drag is OpenFOAM's, of the cars of `make drag` with their labels, length, width and roof held as they are
+measured, which every way is told of.
 """
 
 from __future__ import annotations
@@ -34,8 +35,7 @@ KEPT = 0.01  # of a parameter's range: how far what is held may be off
 WAYS = ("label, then solve", "active", "cobyla")
 EXAMPLE = ROOT / "examples" / "drag"
 LABELLED = {"level": "coarse", "placements": 3}  # how the labels of the example were made
-HELD = ("length", "width", "roof")
-READ = {"roof": "height"}  # what the extents of a car call it
+HELD = {"length": "family.length", "width": "family.width", "roof": "family.height"}  # as they are measured
 TURNS = 20
 EXEMPLARS, EDGE_MM = 24, 60.0  # of the example, by default
 
@@ -64,8 +64,7 @@ class Until(Once):
 def asked(studies: Studies, reference: int, held: tuple[str, ...]) -> Callable[[float, Trimesh], bool]:
     """Whether a mesh of such drag is what was asked for, against the reference as the bank makes it."""
     first, space = studies.reference(reference), [q.name for q in studies.bank.space]
-    told = studies.reading.names
-    places = [told.index(name if name in told else READ[name]) for name in held]
+    places = [studies.reading.names.index(studies.reads.get(name, name).removeprefix("family.")) for name in held]
     spread = np.ptp(studies.bank.parameters, axis=0)[[space.index(name) for name in held]]
     start, wanted = first["drag"], np.array(first["parameters"])[places]
 
@@ -85,7 +84,13 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
         bench, bank = studies.bench, studies.bank
         drag = Until(studies.drag, there=asked(studies, reference, held), stops=name != "active")
         study = lampopt.Study(
-            bank, keep=held, reference=bank.names[reference], measures={"truth": drag}, resolution=bench.resolution
+            bank,
+            keep=held,
+            reference=bank.names[reference],
+            measures={"truth": drag, **({"family": studies.reading} if studies.reads else {})},
+            measured={name: studies.reads[name] for name in held if name in studies.reads},
+            turns=TURNS if studies.reads else 0,
+            resolution=bench.resolution,
         )
         goal = lampopt.Reduce("drag", by=CUT)
         if name == "active":
@@ -95,20 +100,26 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
             return {"evaluations": next((k for k in there if trials[k - 1].value in drag.met), None)}
         if name == "label, then solve":
             before = len(bank) - 1  # the reference is measured again
-            study = replace(study, objective=goal, measured={"drag": "truth.drag"}, turns=TURNS)
+            study = replace(study, objective=goal, measured={**study.measured, "drag": "truth.drag"}, turns=TURNS)
         else:
             before = 0  # the reference is measured for the scale of drag, and is where the search starts
             solver = lampopt.Spec("nlopt", algorithm="cobyla", evaluations=BUDGET)
-            target = (1 - CUT) * studies.reference(reference)["drag"]
-            study = replace(study, targets={"truth.drag": target}, hard=held, solver=solver)
+            first = studies.reference(reference)
+            known = dict(zip(studies.reading.names, first["parameters"], strict=True))
+            read = {where: known[where.removeprefix("family.")] for where in study.measured.values()}
+            still = tuple(name for name in held if name not in study.measured)
+            targets = {"truth.drag": (1 - CUT) * first["drag"], **read}
+            study = replace(
+                study, targets=targets, keep=still, hard=(*still, *read), measured={}, turns=0, solver=solver
+            )
         try:
             lampopt.run(study, plugins=bench.plugins)
         except Reached:
             return {"evaluations": before + len(drag.known)}
         return {"evaluations": None}
 
-    known = studies.known(name, reference, list(held), BUDGET, CLOSE, KEPT, source(sys.modules[__name__]))
-    return studies.bench.scores.get(known, make)
+    case = studies.known(name, reference, list(held), BUDGET, CLOSE, KEPT, source(sys.modules[__name__]))
+    return studies.bench.scores.get(case, make)
 
 
 def of_flow(bench: Bench, workers: int) -> Studies:
@@ -119,7 +130,9 @@ def of_flow(bench: Bench, workers: int) -> Studies:
     flow = lampopt.Spec("openfoam-drag", **LABELLED, workers=workers, folder=str((bench.cache / "flows").absolute()))
     drag = Some(bench.plugins.make("measure", flow), ("drag",))
     code: list[object] = ["flow", LABELLED]
-    return Studies(bench, bench.bank("cars", cars, bench.decoder), drag, bench.plugins.make("measure", "extents"), code)
+    return Studies(
+        bench, bench.bank("cars", cars, bench.decoder), drag, bench.plugins.make("measure", "extents"), code, HELD
+    )
 
 
 def table(studies: Studies, chosen: Sequence[tuple[int, tuple[str, ...]]]) -> Row:
@@ -159,7 +172,7 @@ def main(given: Sequence[str] | None = None) -> int:
                 studies, count = of_flow(bench, args.workers), args.cases or FLOW_CASES
                 base, draw = studies.bank.names.index("base"), np.random.default_rng(args.seed)
                 others = draw.permutation(np.delete(np.arange(len(studies.bank)), base))
-                chosen = [(k, HELD) for k in (base, *others[: count - 1].tolist())]
+                chosen = [(k, tuple(HELD)) for k in (base, *others[: count - 1].tolist())]
             else:
                 studies = of_body(Body(bench, judge_at(args.judge), args.body), notes)
                 names = [q.name for q in studies.bank.space]

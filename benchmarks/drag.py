@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -113,6 +113,8 @@ class Studies:
         Measures of what is produced: its drag, and its parameters by the names that the bank has.
     code
         What tells both, and the family, from others.
+    reads
+        By which of `reading`'s values, `family.NAME`, parameters that mixes do not tell are held.
     """
 
     bench: Bench
@@ -120,6 +122,7 @@ class Studies:
     drag: Measure
     reading: Measure
     code: list[object]
+    reads: Mapping[str, str] = field(default_factory=dict)
 
     def study(self, reference: int, held: tuple[str, ...], turns: int) -> lampopt.Study:
         return lampopt.Study(

@@ -93,7 +93,8 @@ def active(
     ----------
     study
         With a reference, an objective ``Reduce("flow.drag", by=0.1)`` that names a value of one of its `measures`, and
-        whatever else it asks (targets, keeps, ranges).
+        whatever else it asks (targets, keeps, ranges). Its `turns` correct what of that is measured (its `measured`,
+        the bank's own), each time before the value that is sought is measured.
     budget
         Evaluations of the measure at most, the reference's included. One may be several solver runs: `openfoam-drag`
         solves as many flows as it has `placements`.
@@ -113,7 +114,7 @@ def active(
     Raises
     ------
     StudyError
-        If the study has no such objective, or asks for corrections of its own (`turns`).
+        If the study has no such objective.
     InputError
         For a budget that leaves no proposal, or where the reference cannot be measured.
     MeasureError
@@ -123,8 +124,6 @@ def active(
         raise StudyError(f"active: expected a Study, got {study!r:.80}")
     if not isinstance(study.objective, Reduce) or study.reference is None:
         raise StudyError(f"active: expected an objective such as Reduce('flow.drag', by=0.1), got {study.objective}")
-    if study.turns:
-        raise StudyError("active: corrects by itself: leave turns out")
     name, by = study.objective.name, study.objective.by
     task = Task.of(study, plugins)
     bank = task.bank
