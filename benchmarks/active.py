@@ -35,7 +35,7 @@ KEPT = 0.01  # of a parameter's range: how far what is held may be off
 WAYS = ("label, then solve", "active", "cobyla")
 EXAMPLE = ROOT / "examples" / "drag"
 LABELLED = {"level": "coarse", "placements": 3}  # how the labels of the example were made
-HELD = {"length": "family.length", "width": "family.width", "roof": "family.height"}  # as they are measured
+HELD = {"length": "extents.length", "width": "extents.width", "roof": "extents.height"}  # as they are measured
 TURNS = 20
 EXEMPLARS, EDGE_MM = 24, 60.0  # of the example, by default
 
@@ -64,7 +64,7 @@ class Until(Once):
 def asked(studies: Studies, reference: int, held: tuple[str, ...]) -> Callable[[float, Trimesh], bool]:
     """Whether a mesh of such drag is what was asked for, against the reference as the bank makes it."""
     first, space = studies.reference(reference), [q.name for q in studies.bank.space]
-    places = [studies.reading.names.index(studies.reads.get(name, name).removeprefix("family.")) for name in held]
+    places = [studies.reading.names.index(studies.reads.get(name, name).rpartition(".")[2]) for name in held]
     spread = np.ptp(studies.bank.parameters, axis=0)[[space.index(name) for name in held]]
     start, wanted = first["drag"], np.array(first["parameters"])[places]
 
@@ -87,7 +87,7 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
             bank,
             keep=held,
             reference=bank.names[reference],
-            measures={"truth": drag, **({"family": studies.reading} if studies.reads else {})},
+            measures={"truth": drag},
             measured={name: studies.reads[name] for name in held if name in studies.reads},
             turns=TURNS if studies.reads else 0,
             resolution=bench.resolution,
@@ -106,7 +106,7 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
             solver = lampopt.Spec("nlopt", algorithm="cobyla", evaluations=BUDGET)
             first = studies.reference(reference)
             known = dict(zip(studies.reading.names, first["parameters"], strict=True))
-            read = {where: known[where.removeprefix("family.")] for where in study.measured.values()}
+            read = {where: known[where.rpartition(".")[2]] for where in study.measured.values()}
             still = tuple(name for name in held if name not in study.measured)
             targets = {"truth.drag": (1 - CUT) * first["drag"], **read}
             study = replace(

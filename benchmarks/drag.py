@@ -114,7 +114,7 @@ class Studies:
     code
         What tells both, and the family, from others.
     reads
-        By which of `reading`'s values, `family.NAME`, parameters that mixes do not tell are held.
+        The address by which a parameter is held that mixes do not tell, its end a value of `reading`.
     """
 
     bench: Bench
