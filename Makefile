@@ -19,7 +19,7 @@ demo: $(READY)
 
 # A file a core, one thread each: threads of several tests on the same cores wait for each other.
 test: lint docs
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests examples/third_party_decoder $(PYTEST)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
 
 drag: $(READY)
 	@command -v simpleFoam >/dev/null || command -v foamRun >/dev/null || { \
