@@ -3,9 +3,12 @@
 import ast
 import subprocess
 import sys
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 from lampopt import hookspecs
 
@@ -185,3 +188,13 @@ def test_listing_plugins_is_light():
 def test_every_hook_is_tested(hook):
     tests = [path for path in (ROOT / "tests").rglob("*.py") if path != Path(__file__)]
     assert any(f"def {hook}(" in path.read_text(encoding="utf-8") for path in tests), f"no test implements {hook}"
+
+
+def test_what_is_pinned_takes_every_python_3_11():
+    """Debian 12 has 3.11.2: a version that wants a later one leaves its users without any."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pinned = {canonicalize_name(line.partition("==")[0]) for line in lines if "==" in line}
+    wanted = {canonicalize_name(d.name): d.metadata["Requires-Python"] or "" for d in distributions()}
+    wanted = {name: python for name, python in wanted.items() if name in pinned}
+    assert len(wanted) > 50
+    assert not [name for name, python in wanted.items() if not SpecifierSet(python).contains("3.11.0")]
