@@ -26,7 +26,7 @@ from lampopt_template.registration import Registration
 from lampopt_template.remesh import edge_of, remeshed
 from lampopt_template.specks import without_specks
 from lampopt_template.surface import Surface
-from lampopt_template.template import AXES, FADE, Template, mirrored_half
+from lampopt_template.template import AXES, FADE, Template, called, mirrored_half
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -101,7 +101,7 @@ class MeshTemplate:
             mean = without_specks(mean)
         if (wanted := topology(mean)).genus is None:
             raise FitError(
-                f"{_called(mean)}: expected a closed mesh as the template's, got one that is open: "
+                f"{called(mean)}: expected a closed mesh as the template's, got one that is open: "
                 "close it (`lampopt wrap`)"
             )
         sound = [_alike(mesh, wanted) for mesh in meshes]
@@ -236,23 +236,19 @@ def _each(do: Callable[[T], U], things: Sequence[T], progress: Progress = lambda
     return found
 
 
-def _called(mesh: Trimesh) -> str:
-    return str(mesh.metadata.get("name", "a mesh"))
-
-
 def _alike(mesh: Trimesh, wanted: Topology) -> Trimesh:
     """`mesh`, without specks if it has more bodies than wanted; FitError where it is closed and of another topology."""
     if len(mesh.faces) == 0 or not mesh.area > 0:
-        raise FitError(f"{_called(mesh)}: expected a surface, got a mesh without faces")
+        raise FitError(f"{called(mesh)}: expected a surface, got a mesh without faces")
     found = topology(mesh)
     if found.bodies > wanted.bodies:
         mesh = without_specks(mesh)
         found = topology(mesh)
     if found.genus is None:
-        log.warning("%s: is open: the template is moved onto what there is of it", _called(mesh))
+        log.warning("%s: is open: the template is moved onto what there is of it", called(mesh))
     elif (found.bodies, found.genus) != (wanted.bodies, wanted.genus):
         raise FitError(
-            f"{_called(mesh)}: expected the template's topology, {_said(wanted)}, got {_said(found)}: no motion of "
+            f"{called(mesh)}: expected the template's topology, {_said(wanted)}, got {_said(found)}: no motion of "
             "the template makes one of the other; leave it out, or take decoder 'sdf-mlp'"
         )
     return mesh

@@ -218,6 +218,11 @@ class Template:
         return Trimesh(vertices, self.surface.faces, process=False)
 
 
+def called(mesh: Trimesh) -> str:
+    """An exemplar's name, for messages."""
+    return str(mesh.metadata.get("name", "a mesh"))
+
+
 def dying(distance: Array) -> Array:
     """1 at distance 0, 0 from 1 on, smooth between."""
     return np.asarray((1 - np.minimum(distance, 1) ** 2) ** 2)

@@ -1,7 +1,7 @@
 """Decoder `vertex-template`: exemplars that share one connectivity, mixed vertex by vertex.
 
 Where one mesh was deformed into all exemplars, or one program has made them, vertices correspond already: nothing is
-fitted, nothing lost, and a bank takes as long as it takes to write it. Blanz and Vetter 1999 call it a morphable model.
+fitted and nothing lost. Blanz and Vetter 1999 call it a morphable model.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from lampopt.topology import topology
 from lampopt.types import Array, Check
 from lampopt_template.health import FLIPPED, crossings, least_quality, qualities, surface_checks
 from lampopt_template.surface import Surface
-from lampopt_template.template import FADE, dying
+from lampopt_template.template import FADE, called, dying
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -53,15 +53,15 @@ class VertexTemplate:
         """
         if topology(mean).genus is None:
             raise FitError(
-                f"{_called(mean)}: expected a closed mesh as the template's, got one that is open: close it, or merge "
+                f"{called(mean)}: expected a closed mesh as the template's, got one that is open: close it, or merge "
                 "vertices that coincide"
             )
         template = Surface.of(mean)
-        _refuse(template, meshes, f"{_called(mean)}, the mean exemplar")
+        _refuse(template, meshes, f"{called(mean)}, the mean exemplar")
         vertices = [template.vertices, *(np.asarray(mesh.vertices, float) for mesh in meshes)]
         sound = np.min([qualities(at, template.faces) for at in vertices], axis=0) > SOUND
         if not sound.any():
-            raise FitError(f"{_called(mean)}: expected triangles with an area on every exemplar, got none")
+            raise FitError(f"{called(mean)}: expected triangles with an area on every exemplar, got none")
         return {
             "vertices": template.vertices,
             "faces": template.faces.astype(np.int32),
@@ -157,7 +157,7 @@ def _refuse(template: Surface, meshes: Sequence[Trimesh], expected: str) -> None
     """FitError naming all `meshes` that have other triangles than the template, which is called `expected`."""
     others = [mesh for mesh in meshes if not _corresponds(template, mesh)]
     if others:
-        told = ", ".join(f"{_called(m)} {len(m.vertices)} in {len(m.faces)} of its own" for m in others[:TOLD])
+        told = ", ".join(f"{called(m)} {len(m.vertices)} in {len(m.faces)} of its own" for m in others[:TOLD])
         raise FitError(
             f"vertices do not correspond to those of {expected}: expected {len(template.vertices)} in the same "
             f"{len(template.faces)} triangles, got {told}{', …' if len(others) > TOLD else ''}: the file format or a "
@@ -167,11 +167,9 @@ def _refuse(template: Surface, meshes: Sequence[Trimesh], expected: str) -> None
 
 def _corresponds(template: Surface, mesh: Trimesh) -> bool:
     faces = Surface.of(mesh).faces
-    return (
-        len(mesh.vertices) == len(template.vertices)
-        and faces.shape == template.faces.shape
-        and np.array_equal(_listed(faces), _listed(template.faces))
-    )
+    if len(mesh.vertices) != len(template.vertices) or faces.shape != template.faces.shape:
+        return False
+    return np.array_equal(faces, template.faces) or np.array_equal(_listed(faces), _listed(template.faces))
 
 
 def _listed(faces: Array) -> Array:
@@ -214,7 +212,3 @@ def _means(template: Surface, displacements: Array, points: Array, size: float) 
     nearness = 1 / np.maximum(cdist(points, template.vertices, "sqeuclidean") / size**2, NEXT_TO**2)
     pull = template.vertex_areas * nearness * np.sqrt(nearness) * (1 + STEEP**5 * nearness)
     return np.asarray(pull @ displacements / pull.sum(1, keepdims=True))
-
-
-def _called(mesh: Trimesh) -> str:
-    return str(mesh.metadata.get("name", "a mesh"))
