@@ -18,6 +18,7 @@ demo: $(READY)
 	$(BIN)/python examples/demo.py demo
 
 # A file a core, one thread each: threads of several tests on the same cores wait for each other.
+# Files in their order: by the number of their tests the few long ones (examples) would come last, alone.
 test: lint docs
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
 

@@ -172,14 +172,14 @@ def test_a_design_turned_inside_out_is_told(shared):
 def collapsed(size):
     """An egg whose vertices about one pole are one place."""
     mesh = stretched(size)
-    top = mesh.vertices[:, 2] > 0.97 * mesh.vertices[:, 2].max()
+    top = mesh.vertices[:, 2] > 0.8 * mesh.vertices[:, 2].max()
     mesh.vertices[top] = mesh.vertices[top].mean(0)
     return mesh
 
 
 def test_triangles_without_area_do_not_count_where_exemplars_have_them():
     shared = DECODER.prepare([collapsed(size) for size in SIZES[1:]], mean=collapsed(SIZES[0]), seed=0)
-    assert 0.9 < shared["sound"].mean() < 0.99
+    assert 0.9 < shared["sound"].mean() < 0.95  # more than the worst hundredth
     weights, _ = DECODER.fit(shared, [collapsed(size) for size in SIZES], seed=0)
     for row in (weights[0], 2 * weights[1] - weights[0]):
         checks = DECODER.design_checks(shared, row, DECODER.decode(shared, row, resolution=1))
