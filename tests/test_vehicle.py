@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 import lampopt
+from benchmarks.common import module_at
 from lampopt.errors import EmptyMesh, MeasureError, PluginError
 from lampopt.plugins import Plugins
 from lampopt.testing import check_measure
@@ -215,13 +216,10 @@ def test_which_way_it_points_has_to_be_told():
         ("pickup", "x", {"wheelbase": 3.33, "track_front": 1.73, "radius_front": 0.40, "radius_rear": 0.40}),
     ],
 )
-def test_wheels_of_real_bodies(name, forward, expected, monkeypatch):
+def test_wheels_of_real_bodies(name, forward, expected):
     if not (JUDGE.parent / "data" / "cars").exists() or not JUDGE.exists():
         pytest.skip("the real bodies are not beside this checkout")
-    monkeypatch.syspath_prepend(str(JUDGE))
-    import judge
-
-    found = values("wheels", judge.body(name), forward=forward)
+    found = values("wheels", module_at(JUDGE / "judge.py").body(name), forward=forward)
     for value, about in expected.items():
         assert found[value] == pytest.approx(about, rel=0.05), value
 
