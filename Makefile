@@ -19,8 +19,9 @@ demo: $(READY)
 
 # A file a core, one thread each: threads of several tests on the same cores wait for each other.
 # Files in their order: by the number of their tests the few long ones (examples) would come last, alone.
+# Bytecode is kept whatever the machine's habit (containers often keep none): hundreds of processes start here.
 test: lint docs
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
+	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
 
 drag: $(READY)
 	@command -v simpleFoam >/dev/null || command -v foamRun >/dev/null || { \
@@ -38,10 +39,9 @@ lint: $(READY)
 setup: $(READY)
 
 # pip 23 builds each editable with its own -e; constraints.txt keeps torch at the version without CUDA packages.
-# Most of what comes along is never imported: compiled when it is, setup takes a third less of the processor's time.
 $(READY): pyproject.toml constraints.txt examples/third_party_decoder/pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --no-compile -c constraints.txt setuptools -e ".[dev,docs,aero,dask,openfoam,openmdao]" -e examples/third_party_decoder
+	$(BIN)/python -m pip install -c constraints.txt setuptools -e ".[dev,docs,aero,dask,openfoam,openmdao]" -e examples/third_party_decoder
 	touch $@
 
 clean:
