@@ -9,6 +9,7 @@
 PYTHON ?= $(or $(shell command -v python3.11),python3)
 PYTEST ?=
 DRAG ?=
+PIPFLAGS ?=
 BIN := .venv/bin
 READY := .venv/ready
 
@@ -41,7 +42,7 @@ setup: $(READY)
 # pip 23 builds each editable with its own -e; constraints.txt keeps torch at the version without CUDA packages.
 $(READY): pyproject.toml constraints.txt examples/third_party_decoder/pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -c constraints.txt setuptools -e ".[dev,docs,aero,dask,openfoam,openmdao]" -e examples/third_party_decoder
+	$(BIN)/python -m pip install $(PIPFLAGS) -c constraints.txt setuptools -e ".[dev,docs,aero,dask,openfoam,openmdao]" -e examples/third_party_decoder
 	touch $@
 
 clean:
