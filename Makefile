@@ -13,6 +13,9 @@ PIPFLAGS ?=
 BIN := .venv/bin
 READY := .venv/ready
 
+# Bytecode is kept, though containers are often told to keep none: tests start hundreds of processes.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo drag test docs lint setup clean
 
 demo: $(READY)
@@ -20,9 +23,8 @@ demo: $(READY)
 
 # A file a core, one thread each: threads of several tests on the same cores wait for each other.
 # Files in their order: by the number of their tests the few long ones (examples) would come last, alone.
-# Bytecode is kept whatever the machine's habit (containers often keep none): hundreds of processes start here.
 test: lint docs
-	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
 
 drag: $(READY)
 	@command -v simpleFoam >/dev/null || command -v foamRun >/dev/null || { \
