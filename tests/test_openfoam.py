@@ -749,7 +749,7 @@ def test_a_mesher_with_an_error_of_its_own_has_made_no_grid(tool, end, tmp_path,
     [
         ("exit 255", "failed"),  # ssh lost
         (f"{FATAL}; exit 255", "failed"),
-        ("exit 125", "failed"),  # docker's own
+        (f"{FATAL}; exit 125", "failed"),  # docker's own
         ("exit 1", "failed"),
         ("echo '--> FOAM FATAL IO ERROR:'; exit 1", "failed"),  # a file, not the grid
         ("echo '--> FOAM FATAL ERROR:'; echo 'cannot find file \"system/controlDict\"'; exit 1", "failed"),
@@ -767,6 +767,12 @@ def test_a_mesher_that_was_broken_off_says_nothing_of_the_grid(end, name, tool, 
     assert outcome(measure(tmp_path)).outcome == name
     fakes()
     measure(tmp_path)(car())  # nothing is kept
+
+
+@pytest.mark.parametrize("code", [125, 255])
+def test_a_failure_of_what_runs_a_tool_elsewhere_is_told_as_that(code, tmp_path, fakes):
+    fakes(simpleFoam=f"exit {code}")
+    assert f"was lost by what runs it, with exit code {code}" in str(outcome(measure(tmp_path)))
 
 
 def test_a_tool_that_cannot_be_started_says_nothing_of_the_grid(tmp_path, fakes, monkeypatch):
