@@ -23,7 +23,8 @@ demo: $(READY)
 
 # A file a core, one thread each: threads of several tests on the same cores wait for each other.
 # Files in their order: by the number of their tests the few long ones (examples) would come last, alone.
-test: lint docs
+test: $(READY)
+	$(MAKE) --no-print-directory -j 2 lint docs
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder tests examples/third_party_decoder $(PYTEST)
 
 drag: $(READY)
