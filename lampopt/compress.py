@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -81,7 +80,7 @@ def compress(
     about = {**made.provenance, "plan": hashed([made.provenance.get("plan"), "compress", low])}
     return replace(
         made,
-        weights=cast("Array", weights),  # which behaves as one where banks are used
+        weights=weights,
         path=None,
         provenance={**about, **{f"low_rank.{name}": value for name, value in stated.items()}},
     )
@@ -90,7 +89,7 @@ def compress(
 def expect_own_weights(bank: Bank, who: str) -> None:
     """Raise InputError where `who` is given a compressed bank, or none at all."""
     expect_bank(bank, who)
-    if isinstance(cast("object", bank.weights), LowRank):
+    if isinstance(bank.weights, LowRank):
         raise InputError(f"{who}: expected a bank with its own weights, got a compressed one: take what it was made of")
 
 

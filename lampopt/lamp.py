@@ -196,7 +196,7 @@ def store_bank(bank: Bank, path: str | Path) -> Bank:
     """Write `bank` to a `.lamp` file and return it as read from there."""
     path = path_of(path, "store")
     arrays = {name: getattr(bank, name) for name in PLAIN} | {f"shared.{k}": v for k, v in bank.shared.items()}
-    weights: object = bank.weights
+    weights = bank.weights
     if isinstance(weights, LowRank):
         del arrays["weights"]
         arrays |= {f"weights.{name}": getattr(weights, name) for name in FEW}

@@ -203,7 +203,7 @@ class Frame:
         return moved
 
 
-def _weights(given: Any, n: int) -> Any:
+def _weights(given: Any, n: int) -> Array | LowRank:
     """An array (n, D), or a `LowRank` of so many exemplars as it is."""
     if isinstance(given, LowRank) and len(given) == n:
         return given
@@ -253,7 +253,7 @@ class Bank:
     label_space: tuple[Parameter, ...]
     labels: Array
     names: tuple[str, ...]
-    weights: Array
+    weights: Array | LowRank
     shared: Mapping[str, Array]
     frame: Frame
     decoder: Spec
