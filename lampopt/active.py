@@ -20,17 +20,20 @@ import numpy as np
 
 from lampopt.errors import InputError, MeasureError, StudyError
 from lampopt.goals import Reduce
-from lampopt.loop import MEASURED, run
+from lampopt.loop import MEASURED, expect_possible, own_file, run
 from lampopt.plane import Plane, in_ranges
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
 from lampopt.protocols import Progress
 from lampopt.reading import path_of
+from lampopt.record import RunFolder
+from lampopt.solve import solve
 from lampopt.study import Study
 from lampopt.task import Task
 from lampopt.types import Array, Bank, Parameter, Result
 from lampopt.units import said, whole
 
+SAME = 1e-3  # of mixing coefficients: a proposal no farther from the last one makes no other design
 FARTHEST = 0.15  # of the reference's value: how far one proposal may go beyond what was measured
 log = logging.getLogger("lampopt")
 
@@ -96,7 +99,8 @@ def active(
         whatever else it asks (targets, keeps, ranges). Its `turns` correct what of that is measured (its `measured`,
         the bank's own), each time before the value that is sought is measured.
     budget
-        Evaluations of the measure at most, the reference's included. One may be several solver runs: `openfoam-drag`
+        Evaluations of the measure at most, the reference's included; fewer where the plane proposes nothing but a
+        design that is on target and rejected. One may be several solver runs: `openfoam-drag`
         solves as many flows as it has `placements`.
     first
         How many of them are exemplars, the reference included; by default half as many as there are parameters, and
@@ -104,8 +108,8 @@ def active(
     tolerance
         Of the reference's value, within which the target is met by an accepted design.
     folder
-        A run folder, where each proposal is recorded and measures that can (`Keeping`) keep their work, so that an
-        interrupted pursuit goes on.
+        A run folder, where each proposal is recorded, the best one as what was asked last, and measures that can
+        (`Keeping`) keep their work, so that an interrupted pursuit goes on.
     progress
         Told how far it is.
     plugins
@@ -140,13 +144,12 @@ def active(
         task = task.keeping(folder.absolute() / MEASURED)
     quantities = task.wishes.quantities
     quantity = quantities[name]
-    if quantity.measure is None:
+    if quantity.measure is None or quantity.measure[0] not in task.measures:  # another's work would not be kept
         raise StudyError(f"active: {name!r} is not measured: name a value of one of the study's measures")
     parameters, space = in_ranges(bank), bank.parameters
     rows = spread_out(parameters, bank.names.index(study.reference), count)
     flat = Plane(parameters, np.ones_like, ((parameters[rows[0]], 1.0),))
-    probe = Task.of(_asked(study, bank, name, flat, 0.9), plugins)
-    probe.posed(probe.asked({}))  # what cannot be asked is told before anything is measured
+    _expect_possible(Task.of(_asked(study, bank, name, flat, 0.9), plugins))
     tell = progress or silent
     trials, seen = list[Trial](), list[tuple[Array, float]]()
 
@@ -170,19 +173,29 @@ def active(
     wanted, reach = (1 - by) * start, 1.0
     plane = Plane(parameters, np.zeros_like, (*seen[1:], seen[0]))
     best: tuple[tuple[bool, float], float, Result] | None = None
+    stuck, shelf = np.full(len(bank), np.nan), _Shelf(folder)
     for number in range(1, budget - len(trials) + 1):
         most = FARTHEST * abs(start)
         aim = plane.value + reach * float(np.clip(wanted - plane.value, -most, most))
-        result = run(_asked(study, bank, name, plane, aim), folder, report=False, plugins=plugins)
+        asked = _asked(study, bank, name, plane, aim)
+        proposed = _proposed(Task.of(asked, plugins))
+        if (np.abs(proposed - stuck) <= SAME).all():
+            log.warning("active: nothing else is proposed than a design that is on target and was rejected")
+            break
+        result = run(asked, folder, report=False, plugins=plugins)
         alpha = result.design.mix.alpha
         if lost := [check for check in result.checks if check.retry]:
-            raise MeasureError(f"{lost[0].name}: {lost[0].note}; with a folder the same call goes on from here")
+            error = MeasureError(f"{lost[0].name}: {lost[0].note}; with a folder the same call goes on from here")
+            error.passing = True
+            raise error
         told = [check.value for check in result.checks if check.name == quantity.name and check.sense == "info"]
         value = told[0] if told else quantities.value(quantity, alpha)  # it is measured once where meshes are judged
         measured(alpha, f"design {number}", float(alpha @ plane.values), value)
         off = abs(value - wanted) / abs(start)
-        if np.isfinite(off) and (best is None or (not result.accepted, off) < best[0]):
+        if better := bool(np.isfinite(off)) and (best is None or (not result.accepted, off) < best[0]):
             best = (not result.accepted, off), value, result
+        shelf.put(asked, better)
+        stuck = proposed if off <= tolerance else np.full(len(bank), np.nan)
         if best is not None and best[0] <= (False, tolerance):
             break
         if np.isfinite(value):
@@ -204,9 +217,48 @@ def spread_out(parameters: Array, start: int, count: int) -> list[int]:
     return rows
 
 
+def _expect_possible(task: Task) -> None:
+    """Raise StudyError or SolveError, before anything dear is measured, where no design can be proposed."""
+    target = task.asked({})
+    expect_possible(task, [target])
+    _proposed(task)
+
+
+def _proposed(task: Task) -> Array:
+    """(N,) the mix before corrections; NaN where that takes more than a moment."""
+    posed = task.posed(task.asked({}))
+    return np.full(len(task.bank), np.nan) if posed.nonlinear else solve(posed, task.solver).alpha
+
+
+class _Shelf:
+    """A pursuit's run folder: every proposal has a bank of its own; the best one's is kept, as what was asked last."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._best: tuple[Path, tuple[str, str, list[str]]] | None = None
+
+    def put(self, study: Study, better: bool) -> None:
+        """What was run last there, which is better than all before, or not."""
+        if self._folder is None or not isinstance(study.bank, Bank):
+            return
+        file = spent = own_file(study.bank, self._folder)
+        with RunFolder.open(self._folder) as place:
+            if better or self._best is None:
+                spent = file if self._best is None else self._best[0]
+                self._best = file, place.asked()
+            else:
+                place.write_study(*self._best[1])
+        if spent != self._best[0]:
+            spent.unlink(missing_ok=True)
+
+
 def _asked(study: Study, bank: Bank, name: str, plane: Plane, aim: float) -> Study:
     """The study with the plane's values as a label of all exemplars, which is asked for in place of the measure's."""
     label = f"{name.replace('.', ' ')} by a plane"
+
+    def renamed(key: str) -> str:
+        return label if key == name else key
+
     told = np.column_stack([bank.labels, plane.values])
     space = (*bank.label_space, Parameter(label, low=float(told[:, -1].min()), high=float(told[:, -1].max())))
     return replace(
@@ -214,6 +266,8 @@ def _asked(study: Study, bank: Bank, name: str, plane: Plane, aim: float) -> Stu
         bank=replace(bank, labels=told, label_space=space, path=None),
         targets={**study.targets, label: aim},
         objective=None,
+        weights={renamed(key): weight for key, weight in study.weights.items()},
+        hard=tuple(renamed(key) for key in study.hard),
         measured={key: where for key, where in study.measured.items() if key != name},
         limits={check: limit for check, limit in study.limits.items() if check != f"measured.{name}"},
     )

@@ -82,6 +82,24 @@ def measurable(study: Study, bank: Bank, asked: Iterable[str]) -> dict[str, str]
     }
 
 
+def correctable(study: Study, quantities: Quantities, asked: Iterable[str]) -> dict[str, str]:
+    """Which measured value an asked one is corrected by, by name; a measure's own is not: its term sees every mesh.
+
+    Raises
+    ------
+    StudyError
+        If the study has turns and nothing that they could correct.
+    """
+    found = measurable(study, quantities.bank, asked)
+    found = {name: address for name, address in found.items() if quantities[name].column is not None}
+    if not found and study.turns:
+        raise StudyError(
+            "turns: nothing that is asked can be measured: declare it with measured={'name': 'measure.value'}, in the "
+            "study or when the bank is built"
+        )
+    return found
+
+
 def closed(
     study: Study,
     quantities: Quantities,
@@ -166,7 +184,7 @@ def _expected(
         if name in found and name in readings:
             del found[name]
             if address == bank.measured_by[name]:
-                found[name] = readings[name].wanted / readings[name].factor
+                found[name] = readings[name].wanted  # as the bank keeps them: in the parameter's unit
     return found
 
 
@@ -214,21 +232,15 @@ def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> 
 
 def _readings(study: Study, quantities: Quantities, target: Mapping[str, float], mix: Mix) -> dict[str, Reading]:
     bank, found = quantities.bank, dict[str, Reading]()
-    for name, address in measurable(study, bank, target).items():
+    for name, address in correctable(study, quantities, target).items():
         column, quantity = quantities[name].column, quantities.measured(address)
-        if column is None:
-            continue  # its term sees every mesh already
+        assert column is not None
         scale = factor(quantity.unit, column.unit, f"{address!r} for {name!r}")
         if name not in bank.measured_by or name in study.measured:
             found[name] = Reading(column, quantity, scale, target[name], 1.0)
         else:
             wanted, slope = _by_exemplars(bank, name, target, mix)
             found[name] = Reading(column, quantity, scale, wanted, slope)
-    if not found and study.turns:
-        raise StudyError(
-            "turns: nothing that is asked can be measured: declare it with measured={'name': 'measure.value'}, in the "
-            "study or when the bank is built"
-        )
     return found
 
 

@@ -67,13 +67,18 @@ def learned(measure: Measure | Model) -> str:
 def given(measure: Measure | Model) -> list[str]:
     """A measure given as an object: its class, the file that defines it, with all that it may call there, its options.
 
+    Of an `External` one those that its values depend on.
+
     What cannot be read (typed at a prompt) or pickled may be anything: no recorded result is taken for its own.
     """
     cls = type(measure)
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
     try:
         source = Path(file).read_bytes() if file else uuid.uuid4().bytes
-        options = learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
+        if isinstance(measure, External):
+            options = repr(sorted(measure.depends_on().items())).encode()
+        else:
+            options = learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
     except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
         source = options = uuid.uuid4().bytes
     return [cls.__module__, cls.__qualname__, *(hashlib.blake2b(part).hexdigest() for part in (source, options))]

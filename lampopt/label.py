@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -87,7 +87,10 @@ def label(
     Raises
     ------
     InputError
-        For a value that the measure does not have, or if no exemplar can be measured.
+        For a value that the measure does not have, if no exemplar can be measured, or some could not for a reason that
+        may pass: with `store` the same call goes on with these.
+    SweepError
+        If workers are lost; with `store` the same call goes on.
     BankError
         If `store` holds another bank, or another process is labelling it.
     MeasureError
@@ -110,11 +113,11 @@ def label(
     plan = hashed({"bank": all_of(bank), "label": names, "by": who, "resolution": resolution})
     path = None if store is None else path_of(store, "store")
     if path is not None and path.exists():
-        return _finished(path, plan)
+        return _finished(path, plan, names, made)
     program = made.program() if isinstance(made, External) else ""
     with nullcontext() if path is None else Partial.open(path, plan) as parts:
         if path is not None and path.exists():  # another process has finished it meanwhile
-            return _finished(path, plan)
+            return _finished(path, plan, names, made)
         if path is not None and isinstance(made, Keeping):
             made = made.kept_in(path.absolute().with_name(path.name + MEASURED))
         work = _Work(bank, called, made, [*names.values()], resolution, parts, plugins, program)
@@ -302,9 +305,15 @@ def _with_labels(
     )
 
 
-def _finished(path: Path, plan: str) -> Bank:
+def _finished(path: Path, plan: str, names: Iterable[str], measure: Measure) -> Bank:
+    """The bank in `path`; it is said where its labels are another program's than the one that is there now."""
     bank = lamp.load_bank(path)
     if bank.provenance.get("labels") != plan:
         raise BankError(f"{path}: holds another bank: delete it or name another")
+    if isinstance(measure, External):
+        then = {json.loads(str(bank.provenance[f"{LABELLED}{name}"])).get("program", "") for name in names}
+        with suppress(MeasureError):  # which is needed for what is not labelled yet only
+            if then != {now := measure.program()}:
+                log.warning("%s: was labelled by %s, here is %s", path, " and ".join(sorted(then)), now)
     Partial.beside(path, plan).remove()  # left where this was killed in its very last moment
     return bank

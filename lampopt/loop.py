@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.choices import Value
+from lampopt.closing import correctable
 from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
 from lampopt.experiments import MOST
 from lampopt.goals import Objective
@@ -265,13 +266,19 @@ def _results(
     if folder is not None:
         task = task.keeping(path_of(folder, "folder").absolute() / MEASURED)
     asked = [task.asked(change) for change in changes]
+    expect_possible(task, asked)
+    return _yield(task, asked, folder, progress, executor, report, ahead)
+
+
+def expect_possible(task: Task, asked: Sequence[Mapping[str, float]]) -> None:
+    """Raise StudyError, before the first design, where a target is asked that cannot be."""
     every = sorted({name for target in asked for name in target})
     for what, named in (("weights", task.study.weights), ("measured", task.study.measured)):
         if unknown := sorted(set(named) - set(every)):
             raise StudyError(f"{what}: {brief(unknown)} are not asked for; asked for are {brief(every)}")
     for target in {tuple(target): target for target in asked}.values():  # one for each set of names
-        task.posed(target)  # raises here, before the first design, what cannot be asked
-    return _yield(task, asked, folder, progress, executor, report, ahead)
+        task.posed(target)
+        correctable(task.study, task.wishes.quantities, target)
 
 
 def _yield(
@@ -320,12 +327,17 @@ def _bank_file(task: Task, folder: Path) -> Path:
     read_just_now = not isinstance(task.study.bank, Bank)
     if bank.path is not None and (read_just_now or _holds(bank.path, bank)):
         return bank.path
-    file = folder / f"bank-{whole(bank)}.lamp"
+    file = own_file(bank, folder)
     if not _holds(file, bank):
         if file.exists():
             raise InputError(f"{file}: is not the bank that its name tells: remove it, and it is written anew")
         lamp.store_bank(bank, file)
     return file
+
+
+def own_file(bank: Bank, folder: Path) -> Path:
+    """Where in a run folder a bank is stored that is in no file."""
+    return folder / f"bank-{whole(bank)}.lamp"
 
 
 def _holds(file: Path, bank: Bank) -> bool:

@@ -114,6 +114,13 @@ class RunFolder:
             self.database.executemany("INSERT INTO sweep (key) VALUES (?)", ((key,) for key in keys))
             replace_text(self.folder / "study.toml", text)
 
+    def asked(self) -> tuple[str, str, list[str]]:
+        """What `write_study` was given last."""
+        with said(self._file):
+            ((task,),) = self.database.execute("SELECT task FROM asked")
+            keys = [key for (key,) in self.database.execute("SELECT key FROM sweep ORDER BY number")]
+        return (self.folder / "study.toml").read_text(encoding="utf-8"), task, keys
+
     def write(self, key: str, result: Result, bank: Bank, *, task: str, form: str, seconds: float) -> Result:
         """Put a result on disk: mesh and passport where a mesh was made, then the row. Returns it with its folder.
 

@@ -19,7 +19,7 @@ from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, me
 from lampopt.choices import GIVEN, Value
 from lampopt.closing import Closed, closed, read_checks, told_without_turns
 from lampopt.decode import decode
-from lampopt.errors import EmptyMesh, InputError, PluginError, StudyError
+from lampopt.errors import EmptyMesh, InputError, MeasureError, PluginError, StudyError
 from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
 from lampopt.goals import Minimise, Reduce
@@ -28,7 +28,7 @@ from lampopt.measured import resolve_address
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
-from lampopt.protocols import Checker, Decoder, Keeping, Measure, Model, Solver, State
+from lampopt.protocols import Checker, Decoder, External, Keeping, Measure, Model, Solver, State
 from lampopt.quantities import Quantities
 from lampopt.safeguards import judged_by
 from lampopt.solve import Posed, solve
@@ -314,7 +314,7 @@ class Task:
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
-        """Where the results come from: the bank's own, versions, solver and decoder.
+        """Where the results come from: the bank's own, versions, solver, decoder, and what measures from outside.
 
         What the bank was told beside its own (names with a dot) stays there: its `plan` stands for it.
         """
@@ -327,7 +327,16 @@ class Task:
             "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",
             "level": self.study.level,
             "resolution": self.study.resolution,
+            **{f"program.{name}": what for name, made in self._measuring.items() if (what := _program(made))},
         }
+
+    @property
+    def _measuring(self) -> dict[str, Measure]:
+        """Every measure that the results depend on."""
+        quantities = self.wishes.quantities
+        asked = [quantities[name] for name in self._named]
+        asked += [quantities.measured(address) for address in self.study.measured.values()]
+        return {**self.measures, **{q.measure[0]: q.measure[1] for q in asked if q.measure is not None}}
 
 
 @contextmanager
@@ -337,6 +346,14 @@ def _unaltered(mesh: Trimesh | None, who: str) -> Iterator[None]:
     yield
     if mesh is not None and _shape(mesh) != before:
         raise PluginError(f"{who} altered the mesh that it was given: a plugin has to work on a copy of its own")
+
+
+def _program(measure: Measure) -> str:
+    """Name and version of the program that it asks; none where that is not there: then nothing is recorded."""
+    try:
+        return measure.program() if isinstance(measure, External) else ""
+    except MeasureError:
+        return ""
 
 
 def _measure(name: str, choice: Spec | Measure, plugins: Plugins) -> Measure:

@@ -12,7 +12,7 @@ import trimesh
 import lampopt
 from lampopt import Maximise, Reduce, Study, cli
 from lampopt.active import FARTHEST, spread_out
-from lampopt.errors import InputError, MeasureError, StudyError
+from lampopt.errors import InputError, MeasureError, SolveError, StudyError
 from lampopt.plugins import Plugins
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -138,6 +138,30 @@ def test_a_rejected_design_does_not_meet_the_target(bank):
     assert not found.result.accepted
 
 
+def test_a_design_that_stays_rejected_does_not_take_the_whole_budget(bank, caplog):
+    tunnel = Tunnel()
+    found = lampopt.active(study(bank, tunnel, limits={"alpha": 0.1}), plugins=PLUGINS, budget=16)
+    assert abs(found.value - found.wanted) < 0.005 * found.trials[0].value
+    assert (found.met, found.evaluations) == (False, len(set(tunnel.seen)))
+    assert found.evaluations <= 8
+    assert "nothing else is proposed than a design that is on target and was rejected" in caplog.text
+
+
+def test_the_sought_value_can_have_a_weight_and_be_hard(bank):
+    for more in ({"weights": {"flow.drag": 2.0}}, {"hard": ("flow.drag",)}):
+        assert lampopt.active(study(bank, Tunnel(), **more), plugins=PLUGINS).met
+
+
+def test_a_folder_keeps_one_bank_and_the_best_design(bank, tmp_path):
+    asked = study(bank, Tunnel(), limits={"alpha": 0.5})
+    found = lampopt.active(asked, plugins=PLUGINS, tolerance=1e-9, budget=9, folder=tmp_path)
+    assert len([*tmp_path.glob("bank-*.lamp")]) == 1
+    (kept,) = lampopt.results(tmp_path, plugins=PLUGINS)
+    np.testing.assert_array_equal(kept.design.mix.alpha, found.result.design.mix.alpha)
+    designs = found.evaluations - sum(np.isnan(t.predicted) for t in found.trials)
+    assert len([*lampopt.results(tmp_path, every=True, plugins=PLUGINS)]) == designs > 2
+
+
 def test_other_values_of_the_measure_can_be_asked(bank):
     @dataclass(frozen=True)
     class Two(Tunnel):
@@ -191,6 +215,17 @@ def test_what_cannot_be_pursued(bank):
     tunnel = Tunnel()
     with pytest.raises(StudyError, match="neither a parameter"):
         lampopt.active(study(bank, tunnel, keep=("widht",)), plugins=PLUGINS)
+    cannot = [
+        ({"alpha": (0, 1)}, SolveError, "not able to take bounds on alpha"),
+        ({"ranges": {"length": (1, 9)}}, SolveError, "not able to take ranges"),
+        ({"weights": {"length": 2.0}}, StudyError, r"weights: \['length'\] are not asked for"),
+        ({"measured": {"length": "extents.length"}}, StudyError, r"measured: \['length'\] are not asked for"),
+        ({"turns": 3}, StudyError, "turns: nothing that is asked can be measured"),
+        ({"objective": Reduce("volume.volume", by=0.1)}, StudyError, "name a value of one of the study's measures"),
+    ]
+    for more, error, message in cannot:
+        with pytest.raises(error, match=message):
+            lampopt.active(study(bank, tunnel, **more), plugins=PLUGINS)
     assert not tunnel.seen  # told before anything is measured
     for wrong in ({"budget": "9"}, {"budget": 5.5}, {"first": 1}, {"tolerance": float("nan")}, {"folder": 3}):
         with pytest.raises(InputError):

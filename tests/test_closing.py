@@ -119,6 +119,18 @@ def test_a_label_is_measured_on_the_reference_as_it_is_made(bank):
     assert "flow.drag" in result.check("measured.drag").note
 
 
+@pytest.mark.parametrize("measured", [{}, {"length": "extents.length"}])
+def test_parameters_have_units_of_their_own(measured):
+    """Meshes in metres, parameters in millimetres: what is hit is no drift, whoever says how it is measured."""
+    boxes, space = small.boxes(), (Parameter("length", "mm"), Parameter("width", "mm"))
+    boxes = replace(boxes, parameters=1000 * boxes.parameters, space=space)
+    bank = small.bank(boxes, decoder="blunt", plugins=PLUGINS, measured=MEASURED)
+    result = run(bank, targets={"length": 2700.0, "width": 1200.0}, measured=measured, turns=4)
+    assert result.design.mesh.extents[0] == pytest.approx(2.7, abs=1e-4)
+    assert result.accepted
+    assert result.check("drift.length").value < 0.1  # mm
+
+
 def test_the_limit_of_what_is_measured_can_be_set_by_name(bank):
     asked = {"targets": {"length": 3.2}, "measured": {"length": "extents.length"}}
     off = run(bank, **asked).check("measured.length")

@@ -4,7 +4,9 @@ import json
 import sys
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -54,6 +56,69 @@ def test_labels_are_of_the_shapes_that_the_bank_makes():
     assert bank.label_space != made.label_space
     told = json.loads(made.provenance["labelled.cd"])
     assert told == {"by": "Air.drag", "failed": {"box_5": "too long for the tunnel"}}
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Asks a program, whose version may change, with so many workers."""
+
+    workers: int = 1
+    stops_after: int = 99
+    names, units = ("drag",), ("",)
+    version: ClassVar[str] = "1"
+
+    def depends_on(self):
+        return {}
+
+    def program(self):
+        if not self.version:
+            raise MeasureError("no solver here")
+        return f"solver {self.version}"
+
+    def __call__(self, mesh):
+        CALLS.append(mesh.volume)
+        if len(CALLS) > self.stops_after:
+            error = MeasureError("killed")
+            error.passing = True
+            raise error
+        return np.array([float(self.version) * mesh.volume])
+
+
+def test_how_fast_a_program_works_makes_no_other_labels(tmp_path):
+    with pytest.raises(InputError, match="4 of 7 exemplars could not be measured for a reason that may pass"):
+        lampopt.label(small.bank(), Solver(1, stops_after=3), store=tmp_path / "a.lamp", plugins=small.plugins())
+    CALLS.clear()
+    made = lampopt.label(small.bank(), Solver(2), store=tmp_path / "a.lamp", plugins=small.plugins())
+    assert len(CALLS) == 4 and np.isfinite(made.labels).all()
+
+
+def test_labels_of_another_version_are_told(tmp_path, monkeypatch, caplog):
+    def made():
+        return lampopt.label(small.bank(), Solver(), store=tmp_path / "a.lamp", plugins=small.plugins())
+
+    first = made()
+    assert small.same(made(), first) and "was labelled by" not in caplog.text
+    monkeypatch.setattr(Solver, "version", "")  # a finished file needs none
+    assert small.same(made(), first) and "was labelled by" not in caplog.text
+    monkeypatch.setattr(Solver, "version", "2")
+    assert small.same(made(), first)
+    assert "was labelled by solver 1, here is solver 2" in caplog.text
+
+
+def test_a_run_folder_does_not_mix_versions_of_a_program(tmp_path, monkeypatch):
+    study = lampopt.Study(small.bank(), {"width": 1.2}, measures={"flow": Solver()})
+
+    def values():
+        found = lampopt.sweep(study, {"length": [2.1, 2.5]}, tmp_path, report=False, plugins=small.plugins())
+        return [(r.check("flow.drag").value, r.provenance["program.flow"]) for r in found]
+
+    first = values()
+    assert values() == first and len(CALLS) == 2
+    monkeypatch.setattr(Solver, "version", "2")
+    assert values() == [(pytest.approx(2 * drag), "solver 2") for drag, _ in first]
+    assert len(CALLS) == 4
+    monkeypatch.setattr(Solver, "version", "1")
+    assert values() == first and len(CALLS) == 4
 
 
 def test_a_label_of_that_name_is_replaced():

@@ -261,6 +261,18 @@ def test_a_part_that_touches_stays():
     assert cleaned(trimesh.util.concatenate([car(), *mirrors]), **FLOW).width == pytest.approx(1.8 / 4, rel=1e-2)
 
 
+def test_large_faces_touch_and_cross_where_no_vertex_is():
+    """A wing through the body; a plate on a post, whose corners are far from it."""
+    wing = trimesh.creation.box((1, 5, 0.1))
+    assert cleaned(trimesh.util.concatenate([car(), wing]), **FLOW).width == pytest.approx(5 / 4)
+    post = trimesh.creation.box((0.05, 0.05, 0.4)).apply_translation([-1.5, 0, 0.4])
+    for side in (0.35, 1.2):
+        plate = trimesh.creation.box((0.35, side, 0.02)).apply_translation([-1.5, 0, 0.61])
+        made = cleaned(trimesh.util.concatenate([car(), post, plate]), **FLOW)
+        assert (made.notes, made.height) == ((), pytest.approx(1.05 / 4))
+        assert len(made.faces) == len(car().faces) + 24
+
+
 def test_a_large_part_that_floats_is_refused_and_wheels_are_kept():
     wing = trimesh.creation.box((1, 1, 0.1)).apply_translation([0, 0, 2.0])
     with pytest.raises(FlowError, match=r"25% as long as the body that floats") as caught:
@@ -368,6 +380,9 @@ def test_smoothing_keeps_the_size():
     assert np.linalg.norm(better, axis=1).mean() == pytest.approx(0.5, abs=1e-3)
     made = cleaned(mesh, **FLOW)
     assert made.notes[0].startswith("smoothed: rough by 0.1")
+    low, high = made.vertices.min(0), made.vertices.max(0)
+    np.testing.assert_allclose([*low[[0, 2]], high[0], low[1] + high[1]], [0, 0, 1, 0], atol=1e-12)  # stands again
+    assert made.length == pytest.approx(np.ptp(better[:, 0]), abs=1e-9) and made.length < np.ptp(mesh.vertices[:, 0])
 
 
 def test_what_is_too_rough_is_refused():

@@ -15,6 +15,7 @@ import numpy as np
 import lampopt
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.intake import repaired
+from lampopt.intersections import self_intersections
 from lampopt.meshfile import join
 from lampopt.topology import topology
 from lampopt.types import Array
@@ -133,12 +134,20 @@ def cleaned(mesh: Trimesh, *, wind: str, up: str, half: Half) -> Surface:
             f"expected a body that is long along the wind ({wind}), got one that measures {length:.4g} along it and "
             f"{float((high - low).max()):.4g} across; say where the wind blows to by wind="
         )
-    vertices = (vertices - [low[0], (low[1] + high[1]) / 2, low[2]]) / length
-    vertices, mended = _smooth(vertices, faces)
+    vertices, mended = _smooth(_placed(vertices), faces)
+    if mended:  # what was outermost is less so now: else the wheels would not reach the ground any more
+        length *= float(np.ptp(vertices[:, 0]))
+        vertices = _placed(vertices)
     vertices, faces = _in_order(vertices, faces)
     alike, said = _symmetry(vertices, faces, half)
     notes = (*done, *dropped, *mended, *said)
     return Surface(vertices, faces, length, _frontal_area(vertices, faces, alike), alike, notes)
+
+
+def _placed(vertices: Array) -> Array:
+    """One length long, nose at x = 0, middle at y = 0, lowest point at z = 0."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.asarray((vertices - [low[0], (low[1] + high[1]) / 2, low[2]]) / (high[0] - low[0]))
 
 
 def axes(wind: str, up: str) -> Array:
@@ -198,19 +207,28 @@ def _parts(faces: Array) -> Array:
 
 
 def _joined_to(body: int, vertices: Array, faces: Array, part: Array, reach: float) -> set[int]:
-    """Parts that touch the body or lie within it, or touch one that does."""
+    """Parts that touch the body, cross it or lie within it, or so with one that does."""
     import igl
+    from trimesh import Trimesh
 
+    def apart(one: Array, other: Array) -> float:
+        """Of the vertices of faces from other faces."""
+        points = np.ascontiguousarray(vertices[np.unique(one)])
+        squared = igl.point_mesh_squared_distance(points, vertices, np.ascontiguousarray(other))[0]
+        return float(np.sqrt(squared.min()))
+
+    crossing = part[self_intersections(Trimesh(vertices, faces, process=False))]
     joined, waiting = {body}, set(range(int(part.max()) + 1)) - {body}
     grown = True
     while grown and waiting:
         grown = False
         have = np.ascontiguousarray(faces[np.isin(part, [*joined])])
         for k in sorted(waiting):
-            points = np.ascontiguousarray(vertices[np.unique(faces[part == k])])
-            squared = igl.point_mesh_squared_distance(points, vertices, have)[0]
-            inside = igl.fast_winding_number(vertices, have, points) > 0.5
-            if squared.min() <= reach**2 or inside.any():
+            own = faces[part == k]
+            with_k = crossing[(crossing == k).any(axis=1)]
+            inside = igl.fast_winding_number(vertices, have, np.ascontiguousarray(vertices[np.unique(own)])) > 0.5
+            near = min(apart(own, have), apart(have, own)) <= reach  # a large face may have its corners far away
+            if near or inside.any() or np.isin(with_k, [*joined]).any():
                 joined.add(k)
                 waiting.discard(k)
                 grown = True
