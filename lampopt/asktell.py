@@ -94,7 +94,7 @@ class AskTell:
     Raises
     ------
     StudyError
-        If the study has an objective of its own, turns, another solver or an end by the clock.
+        If the study minimises or maximises something of its own, has turns, another solver or an end by the clock.
     """
 
     def __init__(self, study: Study, *, scale: float = 1.0, plugins: Plugins | None = None) -> None:

@@ -238,6 +238,8 @@ class Study:
     def to_toml(self) -> str:
         """The study as TOML; `from_toml` gives it back.
 
+        A bank's path stays as it was given: a relative one is read from beside the file that the text is written to.
+
         Raises
         ------
         StudyError

@@ -152,6 +152,21 @@ def test_the_sought_value_can_have_a_weight_and_be_hard(bank):
         assert lampopt.active(study(bank, Tunnel(), **more), plugins=PLUGINS).met
 
 
+def test_what_may_pass_is_told_as_such(bank):
+    @dataclass(frozen=True)
+    class Killed(Tunnel):
+        def __call__(self, mesh):
+            if len(self.seen) == 3:
+                error = MeasureError("killed")
+                error.passing = True
+                raise error
+            return super().__call__(mesh)
+
+    with pytest.raises(MeasureError, match=r"flow\S*: .*killed; with a folder the same call goes on") as caught:
+        lampopt.active(study(bank, Killed()), plugins=PLUGINS)
+    assert caught.value.passing
+
+
 def test_a_folder_keeps_one_bank_and_the_best_design(bank, tmp_path):
     asked = study(bank, Tunnel(), limits={"alpha": 0.5})
     found = lampopt.active(asked, plugins=PLUGINS, tolerance=1e-9, budget=9, folder=tmp_path)

@@ -1,8 +1,9 @@
 """`lampopt …`: the system from a shell.
 
 Every command takes `--json` and then prints one JSON document on standard output and nothing else there; people get
-tables and progress on standard error. Exit codes: 0 done and accepted, 1 done and rejected, 2 wrong input, 130
-interrupted, 70 a bug (with its traceback), so that a crash is never taken for a rejected design.
+tables and progress on standard error. Exit codes: 0 done and accepted, 1 done and rejected, 2 wrong input (a mesh that
+`intake` refuses, too), 130 interrupted, 70 a bug (with its traceback), so that a crash is never taken for a rejected
+design.
 """
 
 from __future__ import annotations

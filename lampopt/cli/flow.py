@@ -86,7 +86,7 @@ def flow_study(mesh: Path, levels: str, unit: str, folder: str, settings: tuple[
     """Solve the flow on finer and finer grids, and extrapolate.
 
     With three levels, drag is extrapolated to a grid without error (Richardson). A level that is not
-    solved says why and stops nothing.
+    solved says why and stops nothing, but where OpenFOAM, the mesh or the disk is at fault, or none is.
 
     \b
         lampopt flow-study car.stl --folder flows
