@@ -78,6 +78,12 @@ def main():
     parser.add_argument(
         "--level", default="coarse", choices=["coarse", "medium", "fine"], help="of the flows that are searched with"
     )
+    parser.add_argument(
+        "--half",
+        default="auto",
+        choices=["auto", "yes", "no"],
+        help="of a car is solved; yes: left stands for right too",
+    )
     parser.add_argument("--placements", type=int, default=3, help="of the grid, for each exemplar")
     parser.add_argument("--closing", type=int, default=16, help="placements in the closed loop")
     parser.add_argument("--fresh", type=int, default=8, help="placements that design and reference are solved on anew")
@@ -107,7 +113,8 @@ def main():
 def study(args):
     """Whether the design is accepted, its drag lower for certain, and as far as was asked."""
     plugins, folder = Plugins.load().report(), args.folder
-    flow = {"level": args.level, "placements": args.placements, "folder": str((folder / "flows").absolute())}
+    kept = str((folder / "flows").absolute())
+    flow = {"level": args.level, "half": args.half, "placements": args.placements, "folder": kept}
     plugins.make("measure", Spec("openfoam-drag", **flow))  # a wrong option is told before anything is solved
     cars = family(folder, args.exemplars, args.seed, args.edge)
     solved_at = args.level
