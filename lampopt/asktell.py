@@ -198,12 +198,14 @@ class AskTell:
 
     def best(self) -> Candidate | None:
         """The best of all that were told of: what is met comes first, then value and what soft targets cost."""
-        problem, best = self._posed.problem, (inf, inf, -1)
-        for i, known in enumerate(self._known):
-            if isfinite(known.value):
-                off, cost = merit(problem, known.alpha[self._posed.active])
-                best = min(best, (off if off > HELD else 0.0, known.value / self._scale + cost, i))
-        return None if best[2] < 0 else self._candidate(best[2])
+        told = [
+            (*merit(self._posed.problem, known.alpha[self._posed.active]), known.value / self._scale, i)
+            for i, known in enumerate(self._known)
+            if isfinite(known.value)
+        ]
+        least = min((off for off, *_ in told), default=0.0)  # above 0 where what must be contradicts itself
+        near = [(cost + value, i) for off, cost, value, i in told if off <= least + HELD]
+        return self._candidate(min(near)[1]) if near else None
 
     def result(self) -> Result:
         """The best design, judged; where nothing is known yet, the one to begin with.

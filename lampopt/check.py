@@ -18,7 +18,7 @@ from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, Plugi
 from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Interval, Measure
-from lampopt.solve import Posed
+from lampopt.solve import Posed, differ
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Check, Design, Mix, Needs
 from lampopt.units import factor, filled, said
@@ -31,6 +31,7 @@ DEFAULTS: Mapping[str, float] = {
     "hard": 1e-6,  # the same of the targets that must be met exactly
     "measured": 0.02,  # what a study declares measurable, against what was asked [half of the bank's range]
     "range": 1e-4,  # farthest out of a range that was asked for [half of the bank's range]
+    "bounds": 1e-6,  # farthest beyond the bounds on alpha that were asked for
     "alpha": 3.0,  # ‖alpha − centre‖; a swap of one exemplar for another is 1.41
     "mismatch": 0.01,  # the paper's epsilon [box]
     "mismatch.band": 0.01,  # the same near the surface
@@ -94,6 +95,11 @@ def alpha_checks(posed: Posed, mix: Mix, limits: Limits) -> list[Check]:
         outside = np.maximum(problem.range_low - values, values - problem.range_high).clip(0.0)
         worst = problem.range_names[int(outside.argmax())]
         found.append(_met("range", outside, limits, f"the worst is {worst}" if outside.any() else ""))
+    if problem.alpha_low is not None and problem.alpha_high is not None:
+        alpha = mix.alpha[posed.active]
+        beyond = float(np.maximum(problem.alpha_low - alpha, alpha - problem.alpha_high).max(initial=0.0))
+        note = "" if beyond <= limits["bounds"] else said
+        found.append(Check("bounds", beyond, "<=", limits["bounds"], "", "alpha", note))
     distance = float(np.linalg.norm(mix.alpha - posed.centre()))
     return [*found, Check("alpha", distance, "<=", limits["alpha"], "", "alpha", "‖alpha − centre‖")]
 
@@ -246,7 +252,7 @@ def drift_checks(
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
         unit = next(q.unit for q in bank.space if q.name == parameter)
         expected, spread = wanted.get(parameter, float(alpha @ values)), float(np.ptp(values))
-        limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
+        limit = limits[f"drift.{parameter}"] * (spread if differ(values) else abs(float(values.mean())))
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:

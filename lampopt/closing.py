@@ -20,7 +20,7 @@ from lampopt.errors import StudyError
 from lampopt.mix import predicted
 from lampopt.plane import Plane, explained
 from lampopt.progress import silent
-from lampopt.quantities import Quantities, Quantity
+from lampopt.quantities import Quantities, Quantity, teller
 from lampopt.solve import Column, Posed
 from lampopt.study import Study
 from lampopt.types import Array, Bank, Check, Mix
@@ -88,10 +88,22 @@ def correctable(study: Study, quantities: Quantities, asked: Iterable[str]) -> d
     Raises
     ------
     StudyError
-        If the study has turns and nothing that they could correct.
+        If there is no such value, or it is to correct what the mix does not tell; if the study has turns and nothing
+        that they could correct.
+    InputError
+        If its unit cannot become that of what is asked.
     """
-    found = measurable(study, quantities.bank, asked)
-    found = {name: address for name, address in found.items() if quantities[name].column is not None}
+    found = dict[str, str]()
+    for name, address in measurable(study, quantities.bank, asked).items():
+        column, quantity = quantities[name].column, quantities.measured(address)
+        if column is not None:
+            factor(quantity.unit, column.unit, f"{address!r} for {name!r}")
+            found[name] = address
+        elif address != quantities[name].name:
+            raise StudyError(
+                f"measured: {name!r} is told by {teller(quantities[name])}, not by the mix, so that nothing corrects "
+                f"it: ask for {address!r} itself"
+            )
     if not found and study.turns:
         raise StudyError(
             "turns: nothing that is asked can be measured: declare it with measured={'name': 'measure.value'}, in the "

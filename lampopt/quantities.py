@@ -80,7 +80,7 @@ class Quantities:
         if len(found) == 1:
             return found[0]
         if found:
-            raise StudyError(f"{name!r}: may be {', or '.join(f'{q.name!r} of {_who(q)}' for q in found)}: say which")
+            raise StudyError(f"{name!r}: may be {', or '.join(f'{q.name!r} of {teller(q)}' for q in found)}: say which")
         if "." in name and (made := self._installed(name)) is not None:
             return made
         more = [
@@ -229,7 +229,8 @@ def _of_column(found: Column) -> Quantity:
     return Quantity(found.name, found.unit, column=found)
 
 
-def _who(quantity: Quantity) -> str:
+def teller(quantity: Quantity) -> str:
+    """Who tells a quantity's value, in words."""
     if quantity.model is not None:
         return f"model {quantity.model[0]!r}"
     return "the bank" if quantity.measure is None else f"measure {quantity.measure[0]!r}"

@@ -19,6 +19,7 @@ from lampopt.protocols import Adjoint, Corresponding, Decoder, Displace
 from lampopt.terms import Distance, shaped
 from lampopt.types import Array, Bank, Term
 
+WITHIN = 2e-6  # a search may end by a millionth beyond a limit, and what is beyond it is rejected
 SHARE = 4  # the search sees one probe in so many
 NAMES = ("alpha", "mismatch", "jacobian")  # what can be kept within its limit
 STEP = 1e-3  # of alpha, for differences where the decoder has no adjoint: weights have single precision
@@ -135,8 +136,9 @@ def safeguard(
         If it cannot be one, or means nothing for this decoder.
     """
     if name == "alpha":
+        inner = limit * (1 - WITHIN)
         return shaped(
-            f"safe {name}", Distance(name, centre), offset=limit**2, factor=1 / max(limit, 1e-9) ** 2, tell=sqrt
+            f"safe {name}", Distance(name, centre), offset=inner**2, factor=1 / max(limit, 1e-9) ** 2, tell=_distance
         )
     if name == "mismatch":
         term = Mismatch(name, bank, decoder, whole, active)
@@ -149,6 +151,11 @@ def safeguard(
             )
         return shaped(f"safe {name}", LeastJacobian(name, bank, decoder, active), offset=LEAST, factor=-1.0)
     raise StudyError(f"safe: expected one of {', '.join(NAMES)}, got {name!r}")
+
+
+def _distance(squared: float) -> float:
+    """The limit of the check that a constraint stands for."""
+    return sqrt(squared) / (1 - WITHIN)
 
 
 def judged_by(bank: Bank, safe: Sequence[str]) -> Array:

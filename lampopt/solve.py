@@ -18,6 +18,7 @@ from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem,
 
 MET = "every target is met"
 ALIKE = 1e-3  # of what gives alone and of what all give: not told twice
+ROUNDING = 1e-6  # of measured values
 GIVES = 1e-6  # what gives less [normalised] is not told to give
 
 
@@ -49,8 +50,15 @@ def columns(bank: Bank) -> dict[str, Column]:
     found = {q.name: Column(q.name, q.unit, v) for q, v in zip(bank.space, bank.parameters.T, strict=True)}
     found |= {q.name: Column(q.name, q.unit, v) for q, v in zip(bank.label_space, bank.labels.T, strict=True)}
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
-        found[address] = Column(address, found[parameter].unit, values)
+        found[address] = Column(
+            address, found[parameter].unit, values if differ(values) else np.full_like(values, values.mean())
+        )
     return found
+
+
+def differ(values: Array) -> bool:
+    """Whether what was read off the exemplars' meshes (N,) differs by more than rounding (single precision's)."""
+    return bool(np.ptp(values) > ROUNDING * np.abs(values).max())
 
 
 def column(bank: Bank, name: str) -> Column:

@@ -287,6 +287,7 @@ class Task:
                 name: self._who(name) for name in self._named if self.wishes.quantities[name].measure is not None
             },
             "turns": study.turns,
+            "told": [] if study.turns else sorted(n for n in study.measured if told_without_turns(study, n)),
         }
         return {name: value for name, value in asked.items() if value}
 

@@ -26,6 +26,7 @@ from lampopt.study import Study
 from lampopt.terms import MeasuredValue, Remembered, Row, model_value, shaped
 from lampopt.types import Array, Bank, Check, Needs, Term
 
+FOUND = 10.0  # times the limit of hard targets: a search meets what is not linear to its own tolerance only
 SPREAD = 0.2  # range of a measured value that no exemplar tells, in parts of its value at the start
 
 
@@ -56,7 +57,7 @@ class Goal:
         unit = self.quantity.unit
         wanted = f"{self.low:.6g}" if self.low == self.high else f"{self.low:.6g} to {self.high:.6g}"
         note = f"{value:.6g} {unit}".rstrip() + f", asked {wanted}"
-        limit = limits["target" if self.low == self.high else self.name.partition(".")[0]]
+        limit = FOUND * limits["hard"] if self.hard else limits[self.name.partition(".")[0]]
         return Check(self.name, off if value == value else value, "<=", limit, "half range", self.needs, note)
 
 
@@ -109,6 +110,9 @@ class Wishes:
     def goals(self, target: Target) -> list[Goal]:
         """The targets and ranges that are not linear in alpha."""
         found = []
+        for name, pair in self.study.bounds(self.quantities).items():
+            if not pair[0] <= pair[1]:
+                raise StudyError(f"ranges: {name}: expected low ≤ high, got {pair[0]:g} to {pair[1]:g}")
         for name, value in target.items():
             if (quantity := self.quantities[name]).column is None:
                 hard, weight = name in self.study.hard, self.study.weights.get(name, 1.0)

@@ -45,6 +45,17 @@ def bank():
     return small.bank(plugins=PLUGINS)
 
 
+def test_what_contradicts_itself_is_missed_alike_by_all():
+    """Two lengths at once: every candidate misses by as much, but for rounding, so that the value decides."""
+    bank = small.bank(small.boxes(measured={"length": "extents.length"}), plugins=PLUGINS)
+    found = AskTell(Study(bank, {"length": 2.5, "extents.length": 2.6}), plugins=PLUGINS)
+    values = []
+    while len(values) < 12 and (asked := found.ask()) is not None:
+        values.append(float((asked.design.predicted[1] - 1.3) ** 2))
+        found.tell(asked, values[-1])
+    assert len(values) > 3 and found.best().value == min(values) < values[0]
+
+
 def drag(candidate):
     return float(Drag()(candidate.mesh)[0])
 

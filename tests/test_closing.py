@@ -131,6 +131,33 @@ def test_parameters_have_units_of_their_own(measured):
     assert result.check("drift.length").value < 0.1  # mm
 
 
+def test_whether_a_held_or_an_asked_label_was_measured_makes_another_design(tmp_path):
+    """Without corrections a label's own measure is held against what is asked, not against what is held."""
+    bank = small.bank(plugins=PLUGINS)
+    more = {"reference": "box_0", "measures": {"flow": Volume()}, "measured": {"drag": "flow.drag"}}
+    held = run(bank, keep=("drag",), **more, folder=tmp_path)
+    asked = {"targets": {"drag": held.design.target["drag"]}, **more}
+    assert "measured.drag" not in {check.name for check in held.checks}
+    for again in (run(bank, **asked), run(bank, **asked, folder=tmp_path)):
+        assert not again.check("measured.drag").passed and not again.accepted
+
+
+def test_what_all_shapes_have_is_told_from_rounding():
+    """Boxes as tall as each other at several heights, in single precision: their extents differ in the eighth digit."""
+    boxes = small.boxes()
+    for number, mesh in enumerate(boxes.meshes):
+        mesh.vertices = np.float32(np.add(mesh.vertices, [0, 0, 0.1 * number]))
+    parameters = np.insert(boxes.parameters, 2, 0.8, 1)
+    space = (*boxes.space, Parameter("height", "m"))
+    boxes = replace(boxes, parameters=parameters, space=space)
+    bank = small.bank(boxes, plugins=PLUGINS, measured={"height": "extents.height"})
+    assert 0 < np.ptp(bank.measured) < 1e-6
+    result = run(bank, targets={"length": 2.5})
+    assert result.accepted and result.check("drift.height").limit == pytest.approx(0.05 * 0.8)
+    with pytest.raises(StudyError, match=r"'extents\.height': all exemplars have 0\.8 m: no mix can change it"):
+        run(bank, targets={"extents.height": 0.81})
+
+
 def test_the_limit_of_what_is_measured_can_be_set_by_name(bank):
     asked = {"targets": {"length": 3.2}, "measured": {"length": "extents.length"}}
     off = run(bank, **asked).check("measured.length")

@@ -1,7 +1,7 @@
 """What a study may wish for: models, measures, sums, bounds, safety; and the gradients that lead there."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import pytest
 import lampopt
 from lampopt import Linear, Maximise, Minimise, Reduce, Spec, Study
 from lampopt.chain import Chain
-from lampopt.errors import StudyError
+from lampopt.errors import InputError, StudyError
 from lampopt.plugins import Plugins
 from lampopt.safeguards import LeastJacobian, Mismatch, judged_by, seen
 from lampopt.task import Task
@@ -246,7 +246,9 @@ def test_ridge_norm_and_bounds_reach_the_solver(bank):
 def test_bounds_that_leave_nothing_are_told_by_how_much(bank):
     result = run(bank, targets={"length": 2.5}, alpha=(-1.0, 0.1))
     assert result.design.mix.status == "infeasible"
-    assert "bounds on alpha wider by 0.04" in result.design.mix.message  # 1/7 − 0.1, and what the length asks besides
+    assert not result.check("bounds").passed and not result.accepted
+    assert result.check("bounds").value == pytest.approx(result.design.mix.alpha.max() - 0.1)
+    assert "bounds on alpha wider by 0.04" in result.check("bounds").note  # 1/7 − 0.1, and what the length asks besides
     assert "; ; " not in result.design.mix.message
     assert "→ " not in result.design.mix.message
 
@@ -551,6 +553,63 @@ def test_a_soft_target_that_is_missed_is_not_called_met(bank):
     result = run(bank, targets={"length": 2.5, "aero.drag": 0.01}, hard=("length",), models={"aero": SymbolicDrag()})
     assert result.design.mix.status == "inexact"
     assert "aero.drag cannot be had" in result.design.mix.message
+
+
+@pytest.mark.parametrize("solver", ["casadi", "nlopt"])
+def test_what_a_model_cannot_have_is_no_met_target(bank, solver):
+    """The model's least is 0.3: 1 % less is within what a soft target may miss, not within a hard one's."""
+    asked = {"models": {"aero": SymbolicDrag()}, "solver": solver}
+    soft = run(bank, targets={"aero.drag": -1.0}, **asked)
+    assert soft.design.mix.status == "inexact" and "aero.drag cannot be had" in soft.design.mix.message
+    assert run(bank, targets={"aero.drag": 0.297}, **asked).accepted
+    hard = run(bank, targets={"aero.drag": 0.297}, hard=("aero.drag",), **asked)
+    assert not hard.accepted and hard.check("target.aero.drag").value > 0.01
+    assert run(bank, targets={"aero.drag": 0.35}, hard=("aero.drag",), **asked).accepted
+
+
+@pytest.mark.parametrize("solver", ["casadi", "nlopt"])
+@pytest.mark.parametrize("limit", [0.5, 1.0, 3.0])
+def test_what_keeps_to_the_check_passes_it(bank, solver, limit):
+    result = run(bank, objective=Minimise("drag"), safe=("alpha",), limits={"alpha": limit}, solver=solver)
+    assert result.accepted and result.check("alpha").value == pytest.approx(limit, rel=1e-5)
+
+
+@pytest.mark.parametrize("norm", [1, 2])
+def test_parameters_that_go_together_are_no_trouble(norm):
+    """The wheelbase is six tenths of the length: what one leaves of the other is rounding."""
+    boxes = small.boxes()
+    parameters = np.insert(boxes.parameters, 1, 0.6 * boxes.parameters[:, 0], 1)
+    space = (boxes.space[0], Parameter("wheelbase", "m"), boxes.space[1])
+    bank = small.bank(replace(boxes, parameters=parameters, space=space), plugins=PLUGINS)
+    for reference in (None, "box_1"):
+        held = run(bank, targets={"length": 2.7}, hard=("length",), reference=reference, norm=norm)
+        assert held.design.predicted[:2] == pytest.approx([2.7, 1.62])
+        pulled = {"targets": {"length": 2.9, "wheelbase": 1.6}, "hard": ("length",), "reference": reference}
+        result = run(bank, **pulled, ranges={"width": (1.1, 1.15)}, norm=norm)
+        assert result.check("hard").passed
+        assert result.design.predicted[0] == pytest.approx(2.9)
+
+
+def test_what_can_be_known_to_be_wrong_is_told_before_anything_is_measured(bank):
+    measured = []
+
+    class Counted(toys.Volume):
+        def __call__(self, mesh):
+            measured.append(1)
+            return super().__call__(mesh)
+
+    asked = {"measures": {"vol": Counted()}, "solver": Spec("nlopt", evaluations=30), "level": "mesh"}
+    aero = {"models": {"aero": SymbolicDrag()}, "targets": {"aero.drag": 0.4}}
+    cannot = [
+        ({"ranges": {"vol.volume": (2.4, 2.2)}}, r"ranges: vol\.volume: expected low ≤ high, got 2\.4 to 2\.2"),
+        ({"targets": {"drag": 0.3}, "measured": {"drag": "extents.nosuch"}}, r"extents\.nosuch"),
+        ({"targets": {"drag": 0.3}, "measured": {"drag": "extents.length"}}, r"'extents\.length' for 'drag'"),
+        ({**aero, "measured": {"aero.drag": "vol.volume"}}, "told by model 'aero', not by the mix"),
+    ]
+    for wish, message in cannot:
+        with pytest.raises(InputError, match=message):
+            run(bank, **asked, **wish)
+    assert not measured
 
 
 def test_a_slack_range_on_a_mesh_costs_no_search(bank):

@@ -206,7 +206,7 @@ def _polished_in_norm_1(squares: Squares, equal: Equalities, within: Inequalitie
     limits = np.where(side < 0, within.low, within.high)[held]
     equal = equal.joined(within.rows[held], limits).joined(np.eye(len(alpha))[still], squares.centre[still])
     start, basis = equal.free(alpha)
-    rows = squares.rows @ basis
+    rows = _left(squares.rows, basis)
     hessian = 2 * rows.T @ (squares.weight[:, None] * rows)
     slope = 2 * rows.T @ (squares.weight * (squares.rows @ start - squares.target)) + squares.ridge * basis.T @ sign
     found = np.asarray(start - basis @ (np.linalg.pinv(hessian, rcond=RANK, hermitian=True) @ slope))
@@ -224,10 +224,10 @@ def _program(squares: Squares, equal: Equalities, within: Inequalities, start: A
     """In what the equalities leave free; in norm 1 with alpha − centre as the difference of two parts."""
     near, basis = equal.free(squares.centre if start is None else start)
     n, q = basis.shape
-    rows = squares.rows @ basis
+    rows = _left(squares.rows, basis)
     hessian = 2 * rows.T @ (squares.weight[:, None] * rows)
     linear = 2 * rows.T @ (squares.weight * (squares.rows @ near - squares.target))
-    a, base = within.rows @ basis, within.rows @ near
+    a, base = _left(within.rows, basis), within.rows @ near
     low, high = within.low - base, within.high - base
     box = np.full(q, np.inf)
     if squares.norm == 2:
@@ -245,6 +245,13 @@ def _program(squares: Squares, equal: Equalities, within: Inequalities, start: A
             hessian, linear, a, low, high, np.append(-box, np.zeros(2 * n)), np.append(box, np.full(2 * n, np.inf))
         )[:q]
     return np.asarray(near + basis @ y)
+
+
+def _left(rows: Array, basis: Array) -> Array:
+    """What the equalities leave of `rows`: of those that they tell already nothing, not rounding, which scales up."""
+    found = rows @ basis
+    found[np.linalg.norm(found, axis=1) <= RANK * np.linalg.norm(rows, axis=1)] = 0.0
+    return np.asarray(found)
 
 
 def quadratic_program(
