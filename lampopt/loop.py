@@ -15,6 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.choices import Value
@@ -34,6 +36,7 @@ from lampopt.task import Designer, Task
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
 from lampopt.workers import judged, state
+from lampopt.written import expect_precise
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -265,6 +268,9 @@ def _results(
     """Check every target first, then yield the results one by one."""
     if folder is not None:
         task = task.keeping(path_of(folder, "folder").absolute() / MEASURED)
+        if task.study.level == "mesh":
+            frame = task.bank.frame
+            expect_precise(task.study.format, frame.centre + np.array([[-1.0] * 3, [1.0] * 3]) / frame.scale)
     asked = [task.asked(change) for change in changes]
     expect_possible(task, asked)
     return _yield(task, asked, folder, progress, executor, report, ahead)

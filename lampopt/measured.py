@@ -66,6 +66,8 @@ def measure_each(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: 
             except MeasureError as error:
                 raise InputError(f"measured: {address!r} cannot be read off exemplar {name!r}: {error}") from error
             values[row, column] = known[key][place]
+            if not np.isfinite(values[row, column]):
+                raise InputError(f"measured: {address!r} is {values[row, column]:g} for exemplar {name!r}")
     for column, ((parameter, address), (_, measure, place)) in enumerate(zip(measured_by.items(), asked, strict=True)):
         q = exemplars.space[index[parameter]]
         unit = filled(measure.units[place], exemplars.unit)

@@ -210,6 +210,7 @@ def _in_order_of(bank: Bank, exemplars: Exemplars) -> Exemplars:
         parameters=exemplars.parameters[:, [names.index(q.name) for q in bank.space]],
         label_space=bank.label_space,
         labels=labels,
+        mesh_at=None,  # takes parameters in its own order; the bank has its mean already
     )
 
 
@@ -275,6 +276,7 @@ def _plan(bank: Bank, **change: object) -> str:
     before = {
         "plan": bank.provenance.get("plan"),
         "weights": lamp.digest(bank.weights),
+        "labels": [*(str(q) for q in bank.label_space), lamp.digest(bank.labels), bank.provenance.get("labels")],
         "names": bank.names,
         "measured_by": dict(bank.measured_by),
         "limits": dict(bank.limits),

@@ -68,7 +68,7 @@ def iou(a: Trimesh, b: Trimesh, resolution: int = 64) -> float:
     Raises
     ------
     InputError
-        If one has no faces, or neither holds a voxel.
+        If one has no faces, or holds no voxel.
     """
     import igl
 
@@ -79,13 +79,21 @@ def iou(a: Trimesh, b: Trimesh, resolution: int = 64) -> float:
     pitch = float(size.max()) / resolution
     axes = [l + pitch * (np.arange(max(int(np.ceil(s / pitch)), 1)) + 0.5) for l, s in zip(low, size, strict=True)]  # noqa: E741
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    middle, scale = low + size / 2, float(size.max())  # digits go to the shapes, not to their place
+    queries = (centres - middle) / scale
     inside = [
-        igl.fast_winding_number(np.asarray(m.vertices, float), np.asarray(m.faces, np.int64), centres) > 0.5
+        igl.fast_winding_number(
+            (np.asarray(m.vertices, float) - middle) / scale, np.asarray(m.faces, np.int64), queries
+        )
+        > 0.5
         for m in (a, b)
     ]
+    if empty := [called for called, one in zip(("first", "second"), inside, strict=True) if not one.any()]:
+        raise InputError(
+            f"iou: no voxel of {pitch:g} lies inside the {' or the '.join(empty)} mesh; are they closed and outward, "
+            "and as large as that?"
+        )
     union = int((inside[0] | inside[1]).sum())
-    if union == 0:
-        raise InputError(f"iou: no voxel of {pitch:g} lies inside either mesh; are they closed and outward?")
     return float((inside[0] & inside[1]).sum() / union)
 
 

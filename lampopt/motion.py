@@ -6,6 +6,7 @@ boundary goes along with the design.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from lampopt.bank import decoder_of
 from lampopt.decode import decode
 from lampopt.errors import InputError, PluginError
-from lampopt.mix import mixed_weights
+from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Displace, Solver
 from lampopt.reading import path_of
@@ -26,10 +27,12 @@ from lampopt.types import Array, Bank, Design, Spec
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+log = logging.getLogger("lampopt")
 STEP = 0.1  # of a parameter's range, to either side: exact where vertices are linear in weights
 ROUNDS = 60  # of the search for where a point comes from
 FOUND = 1e-9  # how near it has to come [box]
 HALVED = 8  # times at most that a step of the search is, until it helps
+HELD = 1e-3  # of a step: what moves by less is held
 SMALL = 1e-6  # step of the motion's derivative [box]
 
 
@@ -221,7 +224,11 @@ def sensitivities(
 
     def vertices(target: dict[str, float]) -> Array:
         posed = pose(bank, target)
-        made = decode(bank, decoder, mixed_weights(bank, solve(posed, solving).alpha))
+        mix = solve(posed, solving)
+        wide = {name: float(np.ptp(chosen[name].values)) for name in target}
+        reached = {q.name: float(v) for q, v in zip(bank.space, predicted(bank, mix.alpha), strict=True)}
+        off.update(name for name in target if abs(reached[name] - target[name]) > HELD * STEP * wide[name])
+        made = decode(bank, decoder, mixed_weights(bank, mix.alpha))
         if not np.array_equal(made.faces, mesh.faces):
             raise PluginError(
                 f"decoder {bank.decoder.name!r}: makes another triangulation for each design, so that vertices do not "
@@ -230,9 +237,15 @@ def sensitivities(
         return np.asarray(made.vertices, float)
 
     motion, steps = [], []
+    off = set[str]()
     for name in wanted:
-        step = STEP * float(np.ptp(chosen[name].values))
+        step, off = STEP * float(np.ptp(chosen[name].values)), set[str]()
         ahead, behind = (vertices({**at, name: at[name] + sign * step}) for sign in (1, -1))
+        if off:
+            log.warning(
+                "sensitivities: no mix of these exemplars changes %s alone: %s cannot be as asked, so that the motion "
+                "by %s is not by it alone", name, ", ".join(sorted(off)), name
+            )  # fmt: skip
         motion.append((ahead - behind) / (2 * step))
         steps.append(step)
     return Sensitivities(wanted, tuple(free[name].unit for name in wanted), mesh, np.array(motion), np.array(steps))

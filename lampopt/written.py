@@ -11,13 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lampopt.errors import InputError
+import numpy as np
+
+from lampopt.errors import InputError, StudyError
 from lampopt.meshfile import FORMATS, load_mesh
 from lampopt.reading import LARGEST, plain_file
+from lampopt.types import Array
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+PRECISE = 1e-3  # of a shape's size: what a file may lose
 log = logging.getLogger("lampopt")
 
 
@@ -71,6 +75,8 @@ def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
     form = path.suffix.lower().lstrip(".")
     if form not in FORMATS:
         raise InputError(f"{path}: expected a file name ending in .{', .'.join(FORMATS)}")
+    if len(mesh.faces) and (off := lost(form, np.asarray(mesh.bounds, float))) > PRECISE:
+        raise InputError(f"{path}: {_imprecise(form, off)}")
     aside = path.with_name(path.name + ".writing")
     try:
         write_mesh(mesh, aside, form)
@@ -81,6 +87,26 @@ def export_mesh(mesh: Trimesh, path: str | Path) -> Path:
         with suppress(OSError, ValueError):
             aside.unlink(missing_ok=True)
     return path
+
+
+def lost(form: str, bounds: Array) -> float:
+    """What a mesh within `bounds` (2, 3) loses in a file of this format, of its size: most have single precision."""
+    if form == "obj":
+        return 0.0
+    return float(np.spacing(np.float32(np.abs(bounds).max())) / max(float(np.ptp(bounds, axis=0).max()), 1e-300))
+
+
+def expect_precise(form: str, bounds: Array) -> None:
+    """Raise StudyError where meshes within `bounds` (2, 3) would not be in their files what they are."""
+    if (off := lost(form, bounds)) > PRECISE:
+        raise StudyError(f"format: {_imprecise(form, off)}")
+
+
+def _imprecise(form: str, off: float) -> str:
+    return (
+        f"a .{form} file has single precision, so far from the origin {off:.2g} of the shape's size: take format "
+        "'obj', or move the shapes nearer"
+    )
 
 
 def write_mesh(mesh: Trimesh, path: Path, form: str) -> None:

@@ -463,3 +463,16 @@ def test_every_kind_of_finding_is_documented():
         for kind in row.split(",")
     }
     assert kinds | {"bodies", "genus"} == documented
+
+
+def test_what_is_mended_of_the_exemplars_is_mended_of_the_mean():
+    """A source whose every shape lacks a face: its mean, the template's, does too."""
+
+    def at(row):
+        return without(ball(4).apply_scale(row[0]), 7)
+
+    sizes = np.array([[1.0], [1.2], [1.4]])
+    given = Exemplars(sizes, (Parameter("size", "m"),), [at(row) for row in sizes], ("a", "b", "c"), mesh_at=at)
+    report = lampopt.intake(given)
+    assert not report.problems and not at([1.1]).is_watertight
+    assert report.exemplars.mesh_at([1.1]).is_watertight

@@ -351,6 +351,25 @@ def test_removed_into_a_file(bank, tmp_path):
     assert os.listdir(tmp_path) == ["left.lamp"]
 
 
+def test_other_labels_make_another_bank(bank, tmp_path):
+    remove(bank, tmp_path / "left.lamp")
+    labelled = lampopt.label(bank, "volume", plugins=small.plugins())
+    with pytest.raises(BankError, match="holds another bank"):
+        remove(labelled, tmp_path / "left.lamp")
+
+
+def test_a_newcomers_source_need_not_know_the_banks_order(bank):
+    """Its parameters come the other way round, and its shape at their mean is nobody's business."""
+
+    def at(row):
+        raise AssertionError("asked for a mean that the bank has already")
+
+    new = few([5])
+    swapped = {"space": new.space[::-1], "parameters": new.parameters[:, ::-1]}
+    grown = add(bank, replace(new, **swapped, mesh_at=at))
+    assert grown.parameters[-1].tolist() == new.parameters[0].tolist()
+
+
 def test_removing_is_one_step_and_needs_no_folder(bank, tmp_path, monkeypatch):
     def opened(*_):
         raise AssertionError("a folder for parts, and nothing is fitted")

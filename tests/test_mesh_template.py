@@ -38,6 +38,20 @@ def one_thread():
         yield
 
 
+def with_stray(mesh):
+    """The same with vertices that no face has, far away."""
+    stray = np.concatenate([[[9.0, 9, 9], [-9, -9, -9]], mesh.vertices])
+    return trimesh.Trimesh(stray, mesh.faces + 2, process=False)
+
+
+def test_vertices_without_a_face_make_no_difference():
+    plain, strewn = (TINY.prepare([f(EGG), f(POT)], mean=f(BALL), seed=0) for f in (lambda mesh: mesh, with_stray))
+    for name in plain:
+        np.testing.assert_array_equal(strewn[name], plain[name])
+    for one, other in zip(TINY.fit(plain, [EGG], seed=0), TINY.fit(plain, [with_stray(EGG)], seed=0), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @decoder_checks(MeshTemplate(faces=500, cell=0.25))
 def test_conforms(check):
     check()

@@ -87,6 +87,23 @@ def test_iou_of_a_box_within_a_box():
     assert iou(shapes.box((2, 1, 1)), shapes.box((1, 0.5, 0.5)), resolution=40) == pytest.approx(1 / 8)
 
 
+@pytest.mark.parametrize("far", [1e4, 1e6, 1e8])
+def test_iou_is_of_the_shapes_wherever_they_are(far):
+    a, b = (trimesh.creation.icosphere(subdivisions=3) for _ in range(2))
+    b.apply_scale((1.25, 1, 1))
+    here = iou(a, b, 32)
+    for mesh in (a, b):
+        mesh.apply_translation((far, -2 * far, 0))
+    assert iou(a, b, 32) == pytest.approx(here, abs=0.01)
+
+
+def test_iou_of_what_is_inside_out_is_told():
+    a, b = shapes.box((1, 1, 1)), shapes.box((1, 1, 1))
+    a.invert()
+    with pytest.raises(InputError, match=r"lies inside the first mesh; are they closed and outward"):
+        iou(a, b, 32)
+
+
 def test_iou_of_balls():
     # two balls of radius 1, centres d apart: lens π (4 + d) (2 − d)² / 12
     d = 0.6

@@ -409,6 +409,13 @@ def test_axes_are_checked(options, message):
         Body.of(CAR, **options)
 
 
+def test_vertices_without_a_face_are_no_part_of_a_body():
+    mesh = car()
+    stray = trimesh.Trimesh(np.concatenate([mesh.vertices, [[99.0, 99, 99]]]), mesh.faces, process=False)
+    one, other = Body.of(mesh), Body.of(stray)
+    assert (one.size == other.size).all() and (one.start == other.start).all()
+
+
 def test_a_sheet_is_no_body():
     flat = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
     with pytest.raises(InputError, match="a length, a width and a height"):

@@ -220,3 +220,17 @@ def test_the_command_line_writes_motion(bank, tmp_path, capsys):
         assert held["motion_0"].shape == held["vertices"].shape
     assert cli.main(["sensitivities", str(bank.path), "--json"]) == 2
     assert "--target" in json.loads(capsys.readouterr().out)["error"]["message"]
+
+
+def test_who_cannot_hold_the_others_says_so(exemplars, caplog):
+    """Two exemplars, whose only mixes are longer and wider at once."""
+    axes = DESIGNS[[0, 3]]
+    few = Exemplars(axes, exemplars.space, [ellipsoid(row) for row in axes], ("a", "b"), unit="m", mesh_at=ellipsoid)
+    bank = lampopt.build_bank(few, SPEC, probes=500)
+    lampopt.sensitivities(bank, lampopt.run(lampopt.Study(bank)).design)
+    assert "no mix of these exemplars changes long alone: " in caplog.text
+
+
+def test_where_they_can_be_held_nothing_is_said(bank, caplog):
+    lampopt.sensitivities(bank, asked(bank, 1.5, 0.7))
+    assert "alone" not in caplog.text

@@ -19,8 +19,9 @@ import pytest
 import lampopt
 from lampopt import Study
 from lampopt.database import Reader
-from lampopt.errors import InputError
+from lampopt.errors import InputError, StudyError
 from lampopt.meshfile import FORMATS, load_mesh
+from lampopt.written import export_mesh
 
 HERE = Path(__file__).parent
 sys.path[:0] = [p for p in (str(HERE),) if p not in sys.path]
@@ -68,6 +69,19 @@ def tree(folder):
 
 
 # read without being run
+
+
+def test_shapes_too_far_away_for_a_files_digits_are_refused(tmp_path):
+    """Single precision, five million metres from the origin: half a metre."""
+    bank = small.bank(small.boxes(shift=(4.5e5, 5.4e6, 0)))
+    study = Study(bank, {"length": 2.5})
+    with pytest.raises(StudyError, match=r"format: a \.stl file has single precision.* take format 'obj'"):
+        lampopt.run(study, tmp_path, plugins=small.plugins())
+    result = lampopt.run(replace(study, format="obj"), tmp_path, plugins=small.plugins())
+    (back,) = lampopt.results(tmp_path, plugins=small.plugins())
+    np.testing.assert_allclose(back.design.mesh.extents, result.design.mesh.extents, atol=1e-6)
+    with pytest.raises(InputError, match="single precision"):
+        export_mesh(result.design.mesh, tmp_path / "box.stl")
 
 
 def test_results_are_those_recorded_the_last_asked_first(bank, tmp_path):

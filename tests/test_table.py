@@ -79,6 +79,19 @@ def test_columns_left_out_are_logged(folder, caplog):
     assert "left out: maker" in caplog.text
 
 
+@pytest.mark.parametrize("cells", [("1,200", "1,250", "1,300"), ("\u22123", "\u22122.5", "3"), ("1 200.5", "900", "x")])
+def test_numbers_as_people_write_them_are_told_not_left_out(folder, cells):
+    rows = "".join(f'{name}.stl,4.0,"{cell}"\n' for name, cell in zip("abc", cells, strict=True))
+    said = refused(folder, "mesh,length [m],mass\n" + rows)
+    assert "column 'mass': expected a number, got '" + cells[0] in said
+
+
+def test_chosen_parameters_leave_out_what_is_no_number(folder):
+    rows = "".join(f'{name}.stl,4.{k},"1,200"\n' for k, name in enumerate("abc"))
+    exemplars = table(folder, "mesh,length [m],code\n" + rows, parameters="length")()
+    assert [q.name for q in exemplars.space] == ["length"]
+
+
 def test_chosen_parameters(folder):
     exemplars = table(folder, parameters="ramp [deg], length", labels=" drag ")()
     assert [q.name for q in exemplars.space] == ["ramp", "length"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, overload
@@ -81,6 +82,7 @@ class Intake:
             parameters=self.given.parameters[rows],
             labels=self.given.labels[rows],
             names=tuple(self.given.names[i] for i in rows),
+            mesh_at=self.given.mesh_at and partial(_repaired_at, self.given.mesh_at),
             meshes=_Repaired(self.given.meshes, rows, [self.given.names[i] in mended for i in rows]),
         )
 
@@ -253,6 +255,11 @@ def _exemplars(findings: Sequence[Finding]) -> str:
 
 def _count(findings: Sequence[Finding]) -> int:
     return len({finding.exemplar for finding in findings})
+
+
+def _repaired_at(mesh_at: Callable[[Array], Trimesh], parameters: Array) -> Trimesh:
+    """What is wrong with a source's exemplars is with its other shapes, too."""
+    return repaired(mesh_at(parameters))[0]
 
 
 class _Repaired(Sequence["Trimesh"]):

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 SHOWN = 20  # problems told in one message; a table can have a million
 HEADER = re.compile(r"(?P<name>.*?)(?:\[(?P<unit>[^\[\]]*)\])?", re.DOTALL)
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
+WRITTEN = re.compile(  # thousands apart, or a minus from a text program
+    r"[+\u2212-]?[0-9]{1,3}([,'\u2019 \u00a0\u202f][0-9]{3})+(\.[0-9]+)?"
+    r"|\u2212([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
+)
 LARGEST = 2**28  # bytes of a table
 ROWS, COLUMNS = 1_000_000, 10_000
 CELLS = 2_000_000  # of any table; a larger file may have one a byte
@@ -57,10 +61,16 @@ class Column:
         """
         if self.values is None:
             return False
-        numbers, filled = int((~np.isnan(self.values)).sum()), int((~self.empty).sum())
+        numbers, filled = int((~np.isnan(self.values)).sum()) + self._written(), int((~self.empty).sum())
         if filled == 0:
             return bool(self.unit) or self._missing()
         return bool(self.unit) or (numbers > 0 and 2 * numbers >= filled)
+
+    def _written(self) -> int:
+        """How many cells are numbers to people: 1,200 or one with a typographic minus; such a one is to be reported."""
+        assert self.values is not None
+        cells = (self.cells[int(row)].as_py() for row in np.flatnonzero(np.isnan(self.values) & ~self.empty))
+        return sum(isinstance(cell, str) and WRITTEN.fullmatch(cell.strip()) is not None for cell in cells)
 
     def _missing(self) -> bool:
         """Whether the cells of an empty column are numbers that are missing: by their type, or by words such as nan."""

@@ -58,7 +58,7 @@ class Body:
             raise InputError("expected a body with faces, got a mesh without")
         for array in (vertices, faces):
             array.flags.writeable = False
-        size = np.ptp(vertices, axis=0)
+        size = np.ptp(vertices[faces], axis=(0, 1))
         if not (size > 1e-6 * size.max()).all():
             raise InputError(f"expected a body with a length, a width and a height, got extents {size.tolist()}")
         top = _unit(*MESH_AXES[up])
@@ -70,17 +70,24 @@ class Body:
         a, b, c = (int(axis.sum()) for axis in axes)
         return cls(vertices, faces, (first, second, third), (a, b, c))
 
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """(3,) and (3,) lowest and highest of what faces have, in the mesh's own axes, by body axis [unit]."""
+        corners = self.vertices[self.faces][..., list(self.index)]
+        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+
     @cached_property
     def size(self) -> Array:
         """(3,) length, half the width, height [unit]: what fractions are multiplied with."""
-        size: Array = np.ptp(self.vertices, axis=0)[list(self.index)]
+        low, high = self.ends
+        size: Array = high - low
         size[1] /= 2
         return size
 
     @cached_property
     def start(self) -> Array:
         """(3,) where each fraction is 0, in the mesh's own axes, by body axis: nose, middle plane, ground [unit]."""
-        low, high = (bound[list(self.index)] for bound in (self.vertices.min(axis=0), self.vertices.max(axis=0)))
+        low, high = self.ends
         start: Array = np.where(np.array(self.sign) > 0, low, high)
         start[1] = (low[1] + high[1]) / 2
         return start

@@ -36,10 +36,13 @@ class Surface:
         self.faces: Array = np.ascontiguousarray(faces, np.int64)
 
     @classmethod
-    def of(cls, mesh: Trimesh) -> Surface:
-        """That of a mesh; a closed one that is inside out is turned."""
-        faces = np.asarray(mesh.faces)
-        return cls(np.asarray(mesh.vertices), faces[:, ::-1] if mesh.is_watertight and mesh.volume < 0 else faces)
+    def of(cls, mesh: Trimesh, *, every: bool = False) -> Surface:
+        """That of a mesh, of `every` vertex or those that faces have; a closed one that is inside out is turned."""
+        faces, vertices = np.asarray(mesh.faces), np.asarray(mesh.vertices)
+        used, place = np.unique(faces, return_inverse=True)
+        if not every and len(used) < len(vertices):
+            vertices, faces = vertices[used], place.reshape(faces.shape)
+        return cls(vertices, faces[:, ::-1] if mesh.is_watertight and mesh.volume < 0 else faces)
 
     @cached_property
     def crosses(self) -> Array:

@@ -56,7 +56,7 @@ class VertexTemplate:
                 f"{called(mean)}: expected a closed mesh as the template's, got one that is open: close it, or merge "
                 "vertices that coincide"
             )
-        template = Surface.of(mean)
+        template = Surface.of(mean, every=True)
         _refuse(template, meshes, f"{called(mean)}, the mean exemplar")
         vertices = [template.vertices, *(np.asarray(mesh.vertices, float) for mesh in meshes)]
         sound = np.min([qualities(at, template.faces) for at in vertices], axis=0) > SOUND
@@ -166,7 +166,7 @@ def _refuse(template: Surface, meshes: Sequence[Trimesh], expected: str) -> None
 
 
 def _corresponds(template: Surface, mesh: Trimesh) -> bool:
-    faces = Surface.of(mesh).faces
+    faces = Surface.of(mesh, every=True).faces
     if len(mesh.vertices) != len(template.vertices) or faces.shape != template.faces.shape:
         return False
     return np.array_equal(faces, template.faces) or np.array_equal(_listed(faces), _listed(template.faces))
