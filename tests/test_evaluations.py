@@ -9,7 +9,7 @@ import pytest
 import lampopt
 from lampopt import Maximise, Study
 from lampopt.evaluations import FILE, Memory, evaluations
-from lampopt.reporting.gather import evaluations as steps
+from lampopt.reporting.searched import searched
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -88,18 +88,45 @@ def test_a_search_that_was_stopped_goes_on(bank, tmp_path, monkeypatch):
 
 def test_the_report_shows_how_it_converged(bank, tmp_path):
     run(bank, tmp_path, report=True)
-    found = steps(tmp_path, Study(bank, **ASKED))
+    search = searched(tmp_path, Study(bank, **ASKED), bank, PLUGINS)
+    found = search.steps
+    assert (search.label, search.unit) == ("|own.volume − asked|", "m^3")
     assert [one.number for one in found] == [*range(1, len(found) + 1)]
     assert found[-1].value < 1e-3 < found[0].value
     assert all(one.seconds >= 0 for one in found)
     assert 'id="convergence"' in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_what_is_maximised_is_sought_from_above(tmp_path):
-    memory = Memory.at(tmp_path, "a")
-    memory.tell("own.volume", np.ones(2), 1.5, None)
-    memory.tell("own.length", np.ones(2), 9.0, None)
-    study = Study("a.lamp", objective=Maximise("volume"), ranges={"own.length": (1.0, 8.0)})
-    (step,) = steps(tmp_path, study)
-    assert (step.value, step.violation) == (-1.5, 1.0)
+def test_what_is_maximised_is_sought_from_above(bank, tmp_path):
+    noted(tmp_path, bank, 1.5)
+    study = Study(bank, objective=Maximise("volume"), ranges={"own.volume": (2.0, 8.0)}, measures=ASKED["measures"])
+    search = searched(tmp_path, study, bank, PLUGINS)
+    (step,) = search.steps
+    assert (search.label, search.unit, step.value, step.violation) == ("volume", "m^3", -1.5, 0.5)
     assert not step.feasible
+
+
+def noted(folder, bank, *values):
+    """A search that measured the volume at each exemplar in turn."""
+    memory = Memory.at(folder, "a")
+    for alpha, value in zip(np.eye(len(bank)), values, strict=False):
+        memory.tell("own.volume", alpha, value, None)
+
+
+@pytest.mark.parametrize("ends", [(2.0, 3.0), ("2 m^3", "3 m^3"), (2.0, "3000 dm^3")])
+def test_whatever_unit_a_range_is_given_in_it_tells_what_is_feasible(bank, tmp_path, ends):
+    noted(tmp_path, bank, 5.0, 2.5, 1.5)
+    study = Study(bank, ranges={"volume": ends}, measures={"own": toys.Volume()}, objective=Maximise("width"))
+    found = searched(tmp_path, study, bank, PLUGINS)
+    assert [one.violation for one in found.steps] == pytest.approx([2.0, 0.0, 0.5])
+    assert [one.value for one in found.steps] == pytest.approx((-bank.parameters[:3, 1]).tolist())  # the mix tells it
+    assert (found.label, found.unit) == ("width", "m")
+
+
+def test_a_hard_target_has_to_be_met(bank, tmp_path):
+    noted(tmp_path, bank, 5.0, 3.00001)
+    for wanted in (3.0, "3 m^3"):
+        study = Study(bank, targets={"volume": wanted}, hard=("volume",), measures={"own": toys.Volume()})
+        found = searched(tmp_path, study, bank, PLUGINS)
+        assert [one.feasible for one in found.steps] == [False, True]
+        assert [one.value for one in found.steps] == pytest.approx([2.0, 0.00001])

@@ -18,9 +18,10 @@ import lampopt
 from lampopt.pareto import knee, pareto
 from lampopt.reporting import charts, write, write_report
 from lampopt.reporting.convergence import bests, converged, convergence
-from lampopt.reporting.gather import Evaluation, Gathered, Line, evaluations, gather
+from lampopt.reporting.gather import Evaluation, Gathered, Line, gather
 from lampopt.reporting.parallel import LOW, TOP, Axis, Strand, parallel, parallel_coordinates
 from lampopt.reporting.quantities import Quantity, judged, measured, objective
+from lampopt.reporting.searched import Search, searched
 from lampopt.reporting.trade import Traded, trade, traded
 from lampopt.types import Check
 
@@ -545,11 +546,11 @@ def test_a_page_has_them_in_their_sections(tmp_path, bank, study, results):
 
 
 def test_a_run_that_was_searched_has_its_convergence(tmp_path, bank, results, monkeypatch):
-    assert evaluations(tmp_path, lampopt.Study("a.lamp")) == ()
+    assert searched(tmp_path, lampopt.Study(bank), bank, small.plugins()).steps == ()
     wants = lampopt.Study(bank, objective=lampopt.Reduce("drag", by=0.1), reference="box_0", resolution=16)
     asked = []
     steps = (Evaluation(1, 0.4, 0.0, 1.0), Evaluation(2, 0.3, 0.0, 1.0))
-    monkeypatch.setattr(write, "evaluations", lambda folder, study: asked.append(folder) or steps)
+    monkeypatch.setattr(write, "searched", lambda folder, *_: asked.append(folder) or Search(steps, "drag"))
     text = write_report(tmp_path, wants, bank, results[:1], plugins=small.plugins()).read_text(encoding="utf-8")
     assert asked == [tmp_path]
     assert '<section id="convergence">' in text

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 
-from lampopt.evaluations import evaluations as recorded_evaluations
-from lampopt.goals import Minimise
 from lampopt.solve import Column, columns
-from lampopt.study import Study
 from lampopt.types import Array, Bank, Check, Result
 
 T = TypeVar("T")
@@ -153,48 +149,3 @@ def _line(number: int, result: Result, bank: Bank, known: Mapping[str, Column]) 
     judged = {c.name: c for c in result.checks if c.name in COMPARED}
     name = "" if worst is None else worst.name
     return Line(number, asked, mixed, result.accepted, failed, name, result.score, values, judged)
-
-
-def evaluations(folder: Path, study: Study) -> tuple[Evaluation, ...]:
-    """The steps of the last search of the run in `folder`, in their order; none where nothing searched.
-
-    The value is that of the study's objective, or how far a measured target is missed; the violation that of the
-    measured ranges.
-    """
-    noted = [*recorded_evaluations(folder)]
-    steps: dict[bytes, dict[str, float]] = {}
-    seconds: dict[bytes, float] = {}
-    for one in noted:
-        if one.design == noted[-1].design:
-            key = one.alpha.tobytes()
-            steps.setdefault(key, {})[one.name] = one.value
-            seconds[key] = seconds.get(key, 0.0) + one.seconds
-    return tuple(
-        Evaluation(number, _sought(study, values), _violated(study, values), seconds[key])
-        for number, (key, values) in enumerate(steps.items(), 1)
-    )
-
-
-def _named(values: Mapping[str, float], name: str) -> float | None:
-    """The value of what a study calls `name`, which may leave out whose it is."""
-    return next((value for key, value in values.items() if key == name or key.endswith(f".{name}")), None)
-
-
-def _sought(study: Study, values: Mapping[str, float]) -> float:
-    if isinstance(study.objective, Minimise) and (found := _named(values, study.objective.name)) is not None:
-        return -found if study.objective.maximised else found
-    off = [
-        abs(found - wanted)
-        for name, wanted in study.targets.items()
-        if isinstance(wanted, float | int) and (found := _named(values, name)) is not None
-    ]
-    return max(off, default=next(iter(values.values())))
-
-
-def _violated(study: Study, values: Mapping[str, float]) -> float:
-    off = [0.0]
-    for name, (low, high) in study.ranges.items():
-        found = _named(values, name)
-        if found is not None and isinstance(low, float | int) and isinstance(high, float | int):
-            off.append(max(low - found, found - high))
-    return max(off)

@@ -17,11 +17,12 @@ from lampopt.reporting import charts
 from lampopt.reporting.charts import Point, number
 from lampopt.reporting.convergence import converged
 from lampopt.reporting.figures import Figures, Packed, Shown
-from lampopt.reporting.gather import Evaluation, Gathered, Line
+from lampopt.reporting.gather import Gathered, Line
 from lampopt.reporting.layout import laid_out
 from lampopt.reporting.measuring import is_itself, read_back
 from lampopt.reporting.parallel import parallel
 from lampopt.reporting.render import ABOVE, BELOW, LEVEL, STEEL
+from lampopt.reporting.searched import Search
 from lampopt.reporting.trade import trade
 from lampopt.reporting.words import (
     asked_in_short,
@@ -45,10 +46,8 @@ CURVES = 12  # at most
 log = logging.getLogger("lampopt")
 
 
-def page(
-    run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures, evaluations: Sequence[Evaluation] = ()
-) -> str:
-    """The whole report as HTML, the same for the same run; `evaluations` are the steps of its search, if it had one."""
+def page(run: str, study: Study, bank: Bank, gathered: Gathered, drawn: Figures, search: Search) -> str:
+    """The whole report as HTML, the same for the same run; with the steps of its `search`, if it had one."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -99,7 +98,7 @@ def page(
         "curves_note": _curves_note(swept, [name for name in swept if name not in drawn_names]),
         "parallel": parallel(study, bank, gathered, gathered.shown),
         "trade": trade(study, bank, gathered, gathered.shown),
-        "convergence": _convergence(study, bank, evaluations),
+        "convergence": converged(search.steps, search.label, search.unit),
         "rejections": Markup(_rejections(gathered)),
         "scores": Markup(_scores(gathered, seen)),
         "map": _map(bank, lines, seen, drawn.exemplars),
@@ -236,13 +235,6 @@ def _measured(bank: Bank, name: str, line: Line, seen: Mapping[int, Shown]) -> f
         return read_back(bank, name, value, line.predicted)
     except LampoptError:  # another unit than the parameter's is nothing to be compared
         return float("nan")
-
-
-def _convergence(study: Study, bank: Bank, evaluations: Sequence[Evaluation]) -> dict[str, Any] | None:
-    if study.objective is None:
-        return converged(evaluations, "objective")
-    known = columns(bank).get(study.objective.name)
-    return converged(evaluations, study.objective.name, known.unit if known is not None else "")
 
 
 def _rejections(gathered: Gathered) -> str:

@@ -11,8 +11,9 @@ from lampopt.errors import InputError
 from lampopt.plugins import Plugins
 from lampopt.reading import path_of, why
 from lampopt.reporting.figures import figures
-from lampopt.reporting.gather import evaluations, gather
+from lampopt.reporting.gather import gather
 from lampopt.reporting.page import page
+from lampopt.reporting.searched import searched
 from lampopt.study import Study
 from lampopt.types import Bank, Result
 
@@ -58,15 +59,16 @@ def write_report(
     gathered = gather(results, bank, MOST)
     if not gathered.lines:
         raise InputError(f"report: expected at least one result in {folder}, got none: run the study first")
+    plugins = plugins or Plugins.load().report()
     drawn = figures(
         bank,
         study.resolution,
         gathered.shown if study.level == "mesh" else {},
         study.reference,
         0 if gathered.single else min(BESIDE, len(gathered.shown)),
-        plugins or Plugins.load().report(),
+        plugins,
     )
-    text = page(folder.absolute().name, study, bank, gathered, drawn, evaluations(folder, study))
+    text = page(folder.absolute().name, study, bank, gathered, drawn, searched(folder, study, bank, plugins))
     aside = path.with_name(path.name + ".writing")
     try:
         aside.write_bytes(text.encode(errors="replace"))  # a folder's name may have bytes in it that are no text
