@@ -80,6 +80,28 @@ class SteepGradient(Volume):
         return 1.1 * super().gradient(mesh)
 
 
+@breaks("check_gradient_agrees_with_differences")
+class NoGradientAtAll(Volume):
+    def gradient(self, mesh):
+        return 0 * super().gradient(mesh)
+
+
+@breaks("check_gradient_agrees_with_differences")
+class DriftsWithTheMesh(Volume):
+    """Right for every motion about the middle."""
+
+    def gradient(self, mesh):
+        return super().gradient(mesh) + 7.0
+
+
+@breaks("check_gradient_agrees_with_differences")
+class GradientNudgesTheMesh(Volume):
+    def gradient(self, mesh):
+        found = super().gradient(mesh)
+        mesh.vertices = mesh.vertices + 1e-9
+        return found
+
+
 @breaks("check_interval_holds_the_value")
 class NarrowerWhenSurer(Size):
     def interval(self, mesh, level):
@@ -302,6 +324,17 @@ class LearnsRowsTogether(Regresses):
 class TooSteep(Quadric):
     def gradient(self, parameters):
         return 1.1 * super().gradient(parameters)
+
+
+class Flat(Quadric):
+    def gradient(self, parameters):
+        return 0 * super().gradient(parameters)
+
+
+@breaks_regression("check_learned_gradient_follows_the_values")
+class SaysThatItGoesInSteps(Regresses):
+    def spoil(self, fitted):
+        return Flat(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
 
 
 @breaks_regression("check_learned_gradient_follows_the_values")

@@ -122,6 +122,26 @@ def test_a_blunt_tail_ends_where_it_ends():
     assert Wing()(mesh)[1] == pytest.approx(0.95 * area, rel=1e-6)
 
 
+def tapered(taper, sweep, *, span=5.0, chord=1.0):
+    """A wing on one side: a box whose tip is `taper` as long as its root and lies back by `sweep` [L]."""
+    mesh = trimesh.creation.box((chord, span, 0.1)).apply_translation([chord / 2, span / 2, 0])
+    for _ in range(4):
+        mesh = mesh.subdivide()
+    out = mesh.vertices[:, 1] / span
+    mesh.vertices[:, 0] = mesh.vertices[:, 0] * (1 + (taper - 1) * out) + sweep * out
+    return mesh
+
+
+@pytest.mark.parametrize(
+    ("taper", "sweep"), [(0.5, 0.0), (0.78, 0.0), (0.82, 0.0), (0.9, 0.0), (1.0, 1.0), (0.95, 0.5)]
+)
+def test_a_half_wing_is_told_by_its_sections(taper, sweep):
+    half = tapered(taper, sweep)
+    whole = trimesh.util.concatenate([half, mirrored(half)])
+    for mesh in (half, whole):
+        assert Wing()(mesh)[:2] == pytest.approx([10, 5 * (1 + taper)], rel=1e-6)
+
+
 def test_a_left_half_is_as_good_as_a_right_one():
     mesh = bwb_mesh(MIDDLE, chordwise=32, spanwise=50)
     for measure in (Wing(), Stations(), Bwb()):

@@ -13,7 +13,7 @@ from skimage.measure import marching_cubes
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.metrics import r_squared
 from lampopt.plugins import Plugins
-from lampopt.testing import ConformanceError, measure_checks
+from lampopt.testing import ConformanceError, measure_checks, shapes
 from lampopt.testing.measures import check_place_does_not_matter
 from lampopt_families.plate import HIGH, LOW, plate_mesh
 from lampopt_measure.basic import Area, Extents, Volume
@@ -22,6 +22,7 @@ from lampopt_measure.holes import Hole, Holes, area_and_centre
 from lampopt_measure.mass import Centroid, Inertia
 from lampopt_measure.plate import Plate
 from lampopt_measure.wall import Wall
+from lampopt_measure.wetted import WettedArea
 
 PARTS = Path(__file__).parent.parent.parent / "shared" / "data" / "parts"
 PLATE = np.array([2.5, 1.7, 0.25, 0.2, 0.05, -0.03])
@@ -255,6 +256,39 @@ def test_a_plate_by_marching_cubes():
 def test_which_hole_is_no_number(which):
     with pytest.raises(InputError, match="which: expected 1, 2"):
         Hole(which)(plate_mesh(PLATE))
+
+
+def test_the_section_that_counts_is_not_chosen_by_rounding():
+    """A drilled hole that widens by a tenth over the depth, cut into more slabs than sections."""
+    part = shapes.plate_with_hole()
+    for _ in range(3):
+        part = part.subdivide()
+    vertices = np.array(part.vertices)
+    drilled = np.hypot(*vertices[:, :2].T) <= 0.15 + 1e-9
+    vertices[drilled, :2] *= 1 + (vertices[drilled, 2:] + 0.05)
+    between = np.abs(np.abs(vertices[:, 2]) - 0.05) > 1e-9
+    vertices[between, 2] += 1e-4 * np.random.default_rng(0).normal(size=between.sum())
+    radii = [Hole()(trimesh.Trimesh(vertices * s, part.faces, process=False))[0] / s for s in np.linspace(1, 2, 12)]
+    np.testing.assert_allclose(radii, radii[0], rtol=1e-6)
+
+
+def two(first, second):
+    return trimesh.util.concatenate([first, second])
+
+
+SOLID = [Wall(), Centroid(), Inertia(), Volume(), WettedArea()]
+
+
+@pytest.mark.parametrize("measure", SOLID, ids=lambda m: type(m).__name__)
+def test_a_part_inside_out_is_told_and_a_cavity_is_none(measure):
+    """What is inside out beside a body would be taken from it; within it, it is a cavity."""
+    body, small = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((0.5, 0.5, 0.5))
+    small.invert()
+    assert np.isfinite(measure(two(body, small))).all()
+    for place in ((2, 0, 0), (0.6, 0, 0)):
+        beside = small.copy().apply_translation(place)
+        with pytest.raises(MeasureError, match="faces that point outward, got 1 of its parts inside out"):
+            measure(two(body, beside))
 
 
 def test_an_axis_that_is_none():

@@ -15,7 +15,7 @@ from lampopt.measured import values_of
 from lampopt.meshfile import load_mesh
 from lampopt.plugins import Plugins
 from lampopt.protocols import Interval
-from lampopt.units import filled
+from lampopt.units import factor, filled
 
 
 @click.command(cls=Command)
@@ -32,6 +32,7 @@ def measure(name: str, mesh: Path, settings: tuple[str, ...], unit: str) -> Answ
     \b
         lampopt measure extents car.stl
     """
+    factor(unit, "m", "--unit")  # raises where it is no length
     plugins = Plugins.load().report()
     chosen = spec(plugins, "measure", name, "--set", settings)
     made, found = plugins.make("measure", chosen), load_mesh(mesh)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from urllib.parse import quote
 
 import click
 import numpy as np
 
+from lampopt.choices import Value
 from lampopt.cli.answer import Answer, Command
-from lampopt.cli.options import can_be_written, numbers, spec
+from lampopt.cli.options import can_be_written, pairs, spec
 from lampopt.cli.show import number, table
 from lampopt.errors import InputError
 from lampopt.exemplars import exemplars
@@ -92,7 +95,7 @@ def sensitivities(file: Path, targets: tuple[str, ...], reference: str | None, s
         can_be_written("--out", out / "motion.npz")
     plugins = Plugins.load().report()
     bank = load_bank(file)
-    wanted = numbers("--target", targets) or _itself(bank, str(reference))
+    wanted: Mapping[str, Value] = pairs("--target", targets) or _itself(bank, str(reference))
     made = design(bank, wanted, reference=reference, solver=solver, level="alpha", plugins=plugins).design
     found = moved_by(bank, made, solver=solver, plugins=plugins)
     lengths = np.linalg.norm(found.motion, axis=2)
@@ -101,7 +104,7 @@ def sensitivities(file: Path, targets: tuple[str, ...], reference: str | None, s
         arrays = {f"motion_{i}": motion for i, motion in enumerate(found.motion)}
         np.savez(out / "motion.npz", names=np.array(found.names), vertices=np.asarray(found.mesh.vertices), **arrays)
         for name in found.names:
-            found.picture(name, out / f"{name}.png")
+            found.picture(name, out / f"{quote(name, safe=' ()')}.png")  # a name may have a slash in it
     unit = bank.frame.unit
     document = {
         "bank": str(file),

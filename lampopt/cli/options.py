@@ -86,7 +86,13 @@ def chosen_measures(plugins: Plugins, given: Sequence[str]) -> dict[str, Spec]:
 def with_options(plugins: Plugins, kind: str, option: str, text: str) -> Spec:
     """The Spec behind one NAME or NAME:OPTION=VALUE,... text. Raises PluginError and InputError as `spec`."""
     name, _, options = text.partition(":")
-    return spec(plugins, kind, name, option, options.split(",") if options else ())
+    parts = list[str]()
+    for part in options.split(",") if options else ():
+        if parts and "=" not in part:
+            parts[-1] += f",{part}"  # a value that is a list
+        else:
+            parts.append(part)
+    return spec(plugins, kind, name, option, parts)
 
 
 def can_be_written(option: str, path: Path) -> None:

@@ -42,7 +42,7 @@ def plugins() -> Answer:
                 "observes": any(i.plugin_name == name for i in found.manager.hook.lampopt_recorded.get_hookimpls()),
             }
         )
-    blocked = sorted({p.name for p in installed} & set(os.environ.get(BLOCK, "").split(",")))
+    blocked = sorted({p.name for p in installed} & {name.strip() for name in os.environ.get(BLOCK, "").split(",")})
     document = {"plugins": entries, "problems": [asdict(p) for p in found.problems], "blocked": blocked}
     rows = [(e["name"], e["distribution"], e["version"], _offered(e)) for e in entries]
     rows += [(name, *owners.get(name, ("", "")), f"switched off by {BLOCK}") for name in blocked]

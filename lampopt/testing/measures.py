@@ -22,6 +22,8 @@ CLOSE = 1e-3  # relative; of measures that sample or slice
 ORDER = 1e-6  # relative; what the order of sums may change
 SPREAD = 0.05  # of a surrogate's answers: what resampled points may change
 LENGTHS = {"L": 1, "L^2": 2, "L^3": 3, "L^4": 4, "L^5": 5, "": 0, "deg": 0, "rad": 0}
+WAYS = ("a stretch", "a shift", "a smooth motion")
+SLIGHT = 0.05  # of a value: a slope less than that is not told from noise
 
 
 def example(measure: Any) -> Trimesh:
@@ -188,18 +190,44 @@ def check_gradient_agrees_with_differences(measure: Any) -> None:
     if not has_it:
         raise NotApplicable("it has no gradient")
     mesh = example(measure)
-    gradient, step = np.asarray(measure.gradient(mesh)), 1e-4
+    before = np.array(mesh.vertices), np.array(mesh.faces)
+    gradient = np.asarray(measure.gradient(mesh))
+    kept = np.array_equal(before[0], mesh.vertices) and np.array_equal(before[1], mesh.faces)
+    expect(kept, "gradient: altered the mesh that it was given: others are to look at it too")
     wanted = (len(measure.names), len(mesh.vertices), 3)
     expect(gradient.shape == wanted, f"gradient: expected {wanted}, got {gradient.shape}")
+    uneven = mesh.copy()  # where no two corners are the outermost, and steps may be small
+    uneven.vertices += 1e-3 * np.ptp(before[0], axis=0).max() * np.random.default_rng(0).uniform(-1, 1, before[0].shape)
+    attempts = (mesh, gradient, 1e-4), (uneven, None, 1e-6)
+    off = np.minimum(*(_off_differences(measure, *attempt) for attempt in attempts))
+    for way, errors in zip(WAYS, off, strict=True):
+        for name, error in zip(measure.names, errors, strict=True):
+            expect(error <= 0.02, f"{name!r} along {way}: its gradient is off by {error:.2g} of the slope")
+
+
+def _off_differences(measure: Any, mesh: Trimesh, gradient: Array | None, step: float) -> Array:
+    """(3, p) how far the slopes along `WAYS` are from those by differences; inf where the mesh cannot be measured."""
     vertices = np.asarray(mesh.vertices)
-    shear = vertices @ np.array([[0.9, 0.2, -0.1], [0.1, 1.1, 0.3], [-0.2, 0.1, 0.8]])
-    ends = []
-    for sign in (-1, 1):
-        moved = mesh.copy()
-        moved.vertices = vertices + sign * step * shear
-        ends.append(_values(measure, moved))
-    slope = (ends[1] - ends[0]) / (2 * step)
-    _agree((gradient * shear).sum((1, 2)), slope, measure.names, "by its gradient", 0.02, _size(measure, mesh))
+    size = float(np.ptp(vertices, axis=0).max())
+    waves = np.sin(vertices / size @ np.array([[2.1, 0.4, -0.6], [-0.5, 1.7, 0.3], [0.8, -0.2, 2.4]]) + [0.3, 1.1, 2.0])
+    stretch = vertices @ np.array([[0.9, 0.2, -0.1], [0.1, 1.1, 0.3], [-0.2, 0.1, 0.8]])
+    shift = np.broadcast_to(size * np.array([0.7, -0.4, 0.5]), vertices.shape)
+    found = []
+    try:
+        sizes, middle = _size(measure, mesh), _values(measure, mesh)
+        gradient = np.asarray(measure.gradient(mesh)) if gradient is None else gradient
+        for way in (stretch, shift, size * waves):
+            slopes = []
+            for sign in (-1, 1):
+                moved = mesh.copy()
+                moved.vertices = vertices + sign * step * way
+                slopes.append(sign * (_values(measure, moved) - middle) / step)
+            said = (gradient * way).sum((1, 2))
+            wanted = np.clip(said, *np.sort(slopes, axis=0))  # at a kink both of its sides are right
+            found.append(np.abs(said - wanted) / np.maximum(np.abs(wanted), SLIGHT * sizes))
+    except MeasureError:
+        return np.full((len(WAYS), len(measure.names)), np.inf)
+    return np.array(found)
 
 
 def check_interval_holds_the_value(measure: Any) -> None:

@@ -66,14 +66,19 @@ def check_model_gradient_agrees_with_differences(model: Any) -> None:
     _slopes_agree(model, parameters(model))
 
 
-def _slopes_agree(model: Any, given: Array) -> None:
+def _differences(model: Any, given: Array) -> Array:
+    """(B, p, d) slopes by central differences."""
     slopes = []
     for column in range(given.shape[1]):
         step = np.zeros_like(given)
         step[:, column] = STEP * np.maximum(np.abs(given[:, column]), 1e-3)
         span = (given + step)[:, column] - (given - step)[:, column]
         slopes.append((np.asarray(model(given + step)) - np.asarray(model(given - step))) / span[:, None])
-    wanted, found = np.stack(slopes, -1), np.asarray(model.gradient(given))
+    return np.stack(slopes, -1)
+
+
+def _slopes_agree(model: Any, given: Array) -> None:
+    wanted, found = _differences(model, given), np.asarray(model.gradient(given))
     scale = np.abs(wanted).max(axis=0, keepdims=True)
     apart = np.abs(found - wanted) / np.maximum(scale, 1e-9)
     expect((apart < 0.01).all(), f"gradient is {apart.max():.1%} of the steepest slope from central differences")
@@ -174,6 +179,8 @@ def check_learned_gradient_follows_the_values(regression: Any) -> None:
     """A solver follows this gradient to the optimum, or away from it; only a model that goes in steps has none."""
     fitted, (given, _) = _learned(regression), _rows(20, 9)
     if not np.any(fitted.gradient(given)):
+        moved = np.mean(_differences(fitted, given) != 0)
+        expect(moved < 0.5, f"gradient: zero everywhere, and {moved:.0%} of the values move with their parameters")
         raise NotApplicable("what it learns goes in steps: its gradient is zero almost everywhere")
     _slopes_agree(fitted, given)
 

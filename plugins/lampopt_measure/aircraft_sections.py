@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 MODELS = ("", "half", "whole")
-ENDS = 0.05  # of the extent across: how far from either end sections are compared to tell half models
-UNLIKE = 1.5  # ratio of their areas from which on a model is a half one
+ENDS = np.array([0.05, 0.15, 0.3])  # of the extent across: how far from either end sections are compared
+UNLIKE = 1.1  # ratio of their areas from which on a model is a half one
+ASIDE = 0.05  # of the chord: that its nose or tail is elsewhere, too
 TIE = 1e-9  # of the extent across: vertices nearer than this to the outermost one are a tip together
 FACING = 0.95  # cosine: faces that close a half model are turned to its plane of symmetry
 RIM = 0.01  # of the extent across: and lie nearer than this to its end
@@ -59,10 +60,11 @@ class Halves:
         first, last = (float((vertices[rows, 1] * weights).sum()) for rows, weights in (low, high))
         if not last > first:
             raise MeasureError("expected a wing that extends along y, got a flat mesh")
-        areas = _enclosed(vertices, faces, first + np.array([ENDS, 1 - ENDS]) * (last - first))
-        if model == "whole" or (not model and areas.max() <= UNLIKE * areas.min()):
+        sections = first + np.array([ENDS, 1 - ENDS]) * (last - first)
+        areas = _enclosed(vertices, faces, sections.ravel()).reshape(2, -1)
+        if model == "whole" or (not model and _alike(areas, _chords(vertices, faces, sections))):
             return cls(vertices, faces, low, high, (1, -1))
-        if areas[0] >= areas[1]:
+        if areas[0].sum() >= areas[1].sum():
             return cls(vertices, faces, _cap(vertices, faces, -1) or low, high, (1,))
         return cls(vertices, faces, low, _cap(vertices, faces, 1) or high, (-1,))
 
@@ -151,6 +153,21 @@ def cuts(vertices: Array, faces: Array, heights: Array) -> Cuts:
     low, high = vertices[edges[:, 0]], vertices[edges[:, 1]]
     share = (np.r_[height, height] - low[:, 1]) / (high[:, 1] - low[:, 1])
     return Cuts(low + share[:, None] * (high - low), edges, share, np.r_[section, section], np.r_[facing, facing])
+
+
+def _chords(vertices: Array, faces: Array, heights: Array) -> Array:
+    """(..., 2) x of nose and tail of the sections at y = `heights` (...,)."""
+    cut = cuts(vertices, faces, heights.ravel())
+    by_section = [cut.points[cut.section == k, 0] for k in range(heights.size)]
+    found = [[x.min(initial=np.inf), x.max(initial=-np.inf)] for x in by_section]
+    return np.array(found).reshape(*heights.shape, 2)
+
+
+def _alike(areas: Array, chords: Array) -> bool:
+    """Whether sections as far from either end, areas (2, n) and chords (2, n, 2), are each other's mirror images."""
+    if not (areas.max(axis=0) <= UNLIKE * areas.min(axis=0)).all():
+        return False
+    return bool((np.abs(chords[0] - chords[1]).max(axis=-1) <= ASIDE * np.ptp(chords, axis=-1).max(axis=0)).all())
 
 
 def _enclosed(vertices: Array, faces: Array, heights: Array) -> Array:

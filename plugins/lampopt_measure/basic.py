@@ -104,7 +104,40 @@ def solid(mesh: Trimesh, what: str) -> Trimesh:
             f"{what}: expected faces that point outward, got an enclosed volume of {volume:.6g}; "
             "turn the faces round (mesh.invert())"
         )
+    if len(inward := inside_out(np.asarray(closed.vertices, float), np.asarray(closed.faces))):
+        raise MeasureError(
+            f"{what}: expected faces that point outward, got {len(inward)} of its parts inside out, which are no "
+            "cavities: turn them round (lampopt intake does)"
+        )
     return closed
+
+
+def shells(vertices: Array, faces: Array) -> tuple[Array, Array]:
+    """(F,) the part that each face belongs to, and (parts,) what closed parts enclose; negative if inside out."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    joined = coo_array((np.ones(len(ends), bool), tuple(ends.T)), (len(vertices), len(vertices)))
+    _, label = connected_components(joined, directed=False)
+    part = np.unique(label[faces[:, 0]], return_inverse=True)[1]
+    corners = vertices[faces]
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    return part, np.bincount(part, (a * np.cross(b, c)).sum(axis=1)) / 6
+
+
+def inside_out(vertices: Array, faces: Array) -> Array:
+    """Numbers of the parts, as `shells` has them, that face inward and lie in no other: a cavity lies in one."""
+    import igl
+
+    part, volume = shells(vertices, faces)
+    if not (volume < 0).any():
+        return np.empty(0, np.int64)
+    solids = np.ascontiguousarray(faces[np.isin(part, np.flatnonzero(volume > 0))])
+    suspect = volume[part] < 0
+    within = igl.fast_winding_number(vertices, solids, vertices[faces[suspect]].mean(axis=1)) > 0.5
+    inside, every = (np.bincount(part[suspect], each, len(volume)) for each in (within, np.ones(suspect.sum())))
+    return np.flatnonzero((volume < 0) & (inside < every / 2))
 
 
 def enclosed_volume(mesh: Trimesh) -> float:

@@ -266,7 +266,7 @@ def _median(run: list[_Ring]) -> _Ring:
     """The ring of median area over the depth."""
     order = sorted(run, key=lambda opening: (opening.area, opening.number))
     passed = np.cumsum([opening.depth for opening in order])
-    return order[int(np.searchsorted(passed, passed[-1] / 2))]
+    return order[int(np.searchsorted(passed, passed[-1] / 2 * (1 - 1e-9)))]  # rounding is not to choose between two
 
 
 def _levels(heights: Array) -> tuple[Array, Array]:

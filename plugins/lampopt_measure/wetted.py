@@ -10,7 +10,7 @@ import numpy as np
 from lampopt.errors import MeasureError
 from lampopt.types import Array
 
-from .basic import watertight
+from .basic import inside_out, shells, watertight
 from .facets import surface, total
 
 if TYPE_CHECKING:
@@ -53,19 +53,16 @@ class WettedArea:
 
 def _outer(vertices: Array, faces: Array) -> list[tuple[Array, Array]]:
     """The closed shells whose faces point outward, each as vertices and faces; the faces keep their numbers."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    joined = coo_array((np.ones(len(ends), bool), tuple(ends.T)), (len(vertices), len(vertices)))
-    count, label = connected_components(joined, directed=False)
-    corners = vertices[faces]
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    volume = np.bincount(label[faces[:, 0]], (a * np.cross(b, c)).sum(axis=1), count)
-    shells = [(vertices, faces[label[faces[:, 0]] == k]) for k in np.flatnonzero(volume > 0)]
-    if not shells:
+    part, volume = shells(vertices, faces)
+    outer = [(vertices, faces[part == k]) for k in np.flatnonzero(volume > 0)]
+    if not outer:
         raise MeasureError("wetted-area: expected faces that point outward, got none; turn them round (mesh.invert())")
-    return shells
+    if len(inward := inside_out(vertices, faces)):
+        raise MeasureError(
+            f"wetted-area: expected faces that point outward, got {len(inward)} of its parts inside out, which are no "
+            "cavities: turn them round (lampopt intake does)"
+        )
+    return outer
 
 
 def _size(vertices: Array, faces: Array) -> float:
