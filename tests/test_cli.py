@@ -143,8 +143,8 @@ def test_plugins(call, ask):
 
 
 def test_blocked_plugins_are_listed(ask, monkeypatch):
-    monkeypatch.setenv("LAMPOPT_BLOCK", "kkt,nobody")
-    assert ask("plugins")[1]["blocked"] == ["kkt"]
+    monkeypatch.setenv("LAMPOPT_BLOCK", "kkt, nobody, casadi")
+    assert ask("plugins")[1]["blocked"] == ["casadi", "kkt"]
 
 
 def test_sources(call, ask):
@@ -278,6 +278,7 @@ def test_measure(call, ask, folder):
         (["extents", "cars.csv"], "mesh cars.csv: cannot be read"),
         (["plate", "car_0.stl"], "hole"),
         (["extents", "car_0.stl", "--set", "axis=x"], "unknown option 'axis'; known are: none"),
+        (["extents", "car_0.stl", "--unit", "kg"], "--unit: cannot"),
     ],
 )
 def test_measure_refuses(ask, folder, monkeypatch, args, message):

@@ -117,13 +117,14 @@ def test_a_design_is_measured_with_options(cars, tmp_path, capsys):
     asked(capsys, "bank", "build", *source(cars), "--decoder", "gridsdf", "--decoder-set", "size=25", "--out", bank)
     code, said = asked(
         capsys, "make", bank, "--target", "length=1.5", "--resolution", 32,
-        "--measure", f"learned:file={file}", "--measure", "hole:which=2,along=x",
+        "--measure", f"learned:file={file}", "--measure", "hole:which=2,along=x", "--measure", "stations:stations=0.25,0.5",
     )  # fmt: skip
     assert code in (0, 1)
     checks = {check["name"]: check for check in said["checks"]}
     assert checks["learned.drag"]["value"] == pytest.approx(3.0, abs=0.3)
     assert "90% interval" in checks["learned.drag"]["note"]
     assert "hole.radius" in checks
+    assert {"stations.sweep_25", "stations.sweep_50"} <= {*checks}
     code, said = asked(capsys, "make", bank, "--target", "length=1.5", "--measure", "hole:wich=2")
     assert code == 2
     assert "unknown option 'wich'" in said["error"]["message"]

@@ -212,7 +212,7 @@ def test_residuals_refuse_other_exemplars(bank, exemplars):
 
 def test_the_command_line_writes_motion(bank, tmp_path, capsys):
     out = tmp_path / "moved"
-    assert cli.main(["sensitivities", str(bank.path), "--target", "long=1.3", "--out", str(out), "--json"]) == 0
+    assert cli.main(["sensitivities", str(bank.path), "--target", "long=1300 mm", "--out", str(out), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in document["parameters"]] == ["long", "wide"]
     assert {path.name for path in Path(out).iterdir()} == {"motion.npz", "long.png", "wide.png"}
