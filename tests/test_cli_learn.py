@@ -117,7 +117,8 @@ def test_a_design_is_measured_with_options(cars, tmp_path, capsys):
     asked(capsys, "bank", "build", *source(cars), "--decoder", "gridsdf", "--decoder-set", "size=25", "--out", bank)
     code, said = asked(
         capsys, "make", bank, "--target", "length=1.5", "--resolution", 32,
-        "--measure", f"learned:file={file}", "--measure", "hole:which=2,along=x", "--measure", "stations:stations=0.25,0.5",
+        "--measure", f"learned:file={file}", "--measure", "hole:which=2,along=x",
+        "--measure", "stations:stations=0.25,0.5",
     )  # fmt: skip
     assert code in (0, 1)
     checks = {check["name"]: check for check in said["checks"]}

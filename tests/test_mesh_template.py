@@ -1,6 +1,9 @@
 """Decoder `mesh-template`: solids known in closed form, exact linearity, what registration bears, what it refuses."""
 
+import gc
 import logging
+import weakref
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +53,28 @@ def test_vertices_without_a_face_make_no_difference():
         np.testing.assert_array_equal(strewn[name], plain[name])
     for one, other in zip(TINY.fit(plain, [EGG], seed=0), TINY.fit(plain, [with_stray(EGG)], seed=0), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_preparing_holds_few_meshes_at_once():
+    """A thousand cars do not fit in memory; the six that the template is tried on do."""
+    alive = weakref.WeakSet()
+
+    class Loaded(Sequence):
+        def __len__(self):
+            return 20
+
+        def __getitem__(self, index):
+            if index >= len(self):
+                raise IndexError
+            gc.collect()
+            mesh = shapes.ellipsoid(FLAT + index / 20 * (TALL - FLAT), divisions=3)
+            alive.add(mesh)
+            most.append(len(alive))
+            return mesh
+
+    most = []
+    TINY.prepare(Loaded(), mean=BALL, seed=0)
+    assert max(most) <= 4
 
 
 @decoder_checks(MeshTemplate(faces=500, cell=0.25))

@@ -97,16 +97,16 @@ class MeshTemplate:
 
         Raises FitError where an exemplar is of another topology than the mean, naming it; loose specks aside.
         """
-        if len({topology(mesh).bodies for mesh in (mean, *meshes)}) > 1:
+        if len({topology(mean).bodies, *(topology(mesh).bodies for mesh in meshes)}) > 1:
             mean = without_specks(mean)
         if (wanted := topology(mean)).genus is None:
             raise FitError(
                 f"{called(mean)}: expected a closed mesh as the template's, got one that is open: "
                 "close it (`lampopt wrap`)"
             )
-        sound = [_alike(mesh, wanted) for mesh in meshes]
+        sizes = [_size(_alike(mesh, wanted)) for mesh in meshes]  # one mesh at a time: there may be thousands
         template = self._template(mean)
-        pilots = [Surface.of(sound[i]) for i in _outer(sound)]
+        pilots = [Surface.of(_alike(meshes[i], wanted)) for i in _outer(np.array(sizes))]
         registration = self._registration(template)
         plain = replace(template, detailed=False)  # the lattice is to do what it can before detail comes on top
         moved = _each(lambda target: plain.moved(self._onto(plain, registration, target, seed)), pilots)
@@ -258,12 +258,16 @@ def _said(shape: Topology) -> str:
     return f"{shape.bodies} bod{'y' if shape.bodies == 1 else 'ies'} of genus {shape.genus}"
 
 
-def _outer(meshes: Sequence[Trimesh]) -> list[int]:
-    """Exemplars that differ most in extent and volume, each from those before it."""
-    facts = np.array([[*mesh.extents, np.cbrt(abs(mesh.volume)), np.sqrt(mesh.area)] for mesh in meshes])
-    away = np.linalg.norm(facts - facts.mean(0), axis=1)
+def _size(mesh: Trimesh) -> list[float]:
+    """Its extents, and how large its volume and its surface are, as lengths."""
+    return [*mesh.extents.tolist(), float(np.cbrt(abs(mesh.volume))), float(np.sqrt(mesh.area))]
+
+
+def _outer(sizes: Array) -> list[int]:
+    """Exemplars whose sizes (N, 5) differ most, each from those before it."""
+    away = np.linalg.norm(sizes - sizes.mean(0), axis=1)
     chosen: list[int] = []
-    while len(chosen) < min(PILOTS, len(facts)):
+    while len(chosen) < min(PILOTS, len(sizes)):
         chosen.append(int(away.argmax()))
-        away = np.minimum(away, np.linalg.norm(facts - facts[chosen[-1]], axis=1))
+        away = np.minimum(away, np.linalg.norm(sizes - sizes[chosen[-1]], axis=1))
     return chosen
