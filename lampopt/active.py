@@ -30,7 +30,7 @@ from lampopt.record import RunFolder
 from lampopt.solve import solve
 from lampopt.study import Study
 from lampopt.task import Task
-from lampopt.types import Array, Bank, Parameter, Result
+from lampopt.types import Array, Bank, Parameter, Result, Spec
 from lampopt.units import said, whole
 
 SAME = 1e-3  # of mixing coefficients: a proposal no farther from the last one makes no other design
@@ -144,8 +144,14 @@ def active(
         task = task.keeping(folder.absolute() / MEASURED)
     quantities = task.wishes.quantities
     quantity = quantities[name]
-    if quantity.measure is None or quantity.measure[0] not in task.measures:  # another's work would not be kept
+    if quantity.measure is None:
         raise StudyError(f"active: {name!r} is not measured: name a value of one of the study's measures")
+    if (key := quantity.measure[0]) not in task.measures:  # an installed one, whose work is to be kept too
+        study = replace(study, measures={**study.to_be_measured(), key: Spec(key)})
+        task = Task.of(study, plugins)
+        task = task if folder is None else task.keeping(folder.absolute() / MEASURED)
+        quantities = task.wishes.quantities
+        quantity = quantities[name]
     parameters, space = in_ranges(bank), bank.parameters
     rows = spread_out(parameters, bank.names.index(study.reference), count)
     flat = Plane(parameters, np.ones_like, ((parameters[rows[0]], 1.0),))

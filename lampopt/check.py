@@ -18,7 +18,7 @@ from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, Plugi
 from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Interval, Measure
-from lampopt.solve import Posed, differ
+from lampopt.solve import Posed, columns
 from lampopt.topology import topology
 from lampopt.types import Array, Bank, Check, Design, Mix, Needs
 from lampopt.units import factor, filled, said
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 DEFAULTS: Mapping[str, float] = {
     "target": 0.02,  # worst unmet target [half of the bank's range]
     "hard": 1e-6,  # the same of the targets that must be met exactly
+    "hard.search": 1e-5,  # the same where a model or a measure tells it: a search ends near it
     "measured": 0.02,  # what a study declares measurable, against what was asked [half of the bank's range]
     "range": 1e-4,  # farthest out of a range that was asked for [half of the bank's range]
     "bounds": 1e-6,  # farthest beyond the bounds on alpha that were asked for
@@ -248,11 +249,11 @@ def drift_checks(
     parameter, and still right where it differs by an offset or a factor (a parameter given as a change of length).
     Where the ask was corrected so that a `wanted` value is measured, that is what counts.
     """
-    found, known, wanted = [], _Measured(mesh, plugins), wanted or {}
+    found, known, wanted, asked = [], _Measured(mesh, plugins), wanted or {}, columns(bank)
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
-        unit = next(q.unit for q in bank.space if q.name == parameter)
-        expected, spread = wanted.get(parameter, float(alpha @ values)), float(np.ptp(values))
-        limit = limits[f"drift.{parameter}"] * (spread if differ(values) else abs(float(values.mean())))
+        unit, spread = asked[address].unit, asked[address].spread
+        expected = wanted.get(parameter, float(alpha @ values))
+        limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:

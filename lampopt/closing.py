@@ -95,9 +95,9 @@ def correctable(study: Study, quantities: Quantities, asked: Iterable[str]) -> d
     """
     found = dict[str, str]()
     for name, address in measurable(study, quantities.bank, asked).items():
-        column, quantity = quantities[name].column, quantities.measured(address)
-        if column is not None:
-            factor(quantity.unit, column.unit, f"{address!r} for {name!r}")
+        if (column := quantities[name].column) is not None:
+            if study.turns or name in study.measured:  # else nothing asks for it before the mesh is there
+                factor(quantities.measured(address).unit, column.unit, f"{address!r} for {name!r}")
             found[name] = address
         elif address != quantities[name].name:
             raise StudyError(

@@ -311,7 +311,7 @@ def _finished(path: Path, plan: str, names: Iterable[str], measure: Measure) -> 
     if bank.provenance.get("labels") != plan:
         raise BankError(f"{path}: holds another bank: delete it or name another")
     if isinstance(measure, External):
-        then = {json.loads(str(bank.provenance[f"{LABELLED}{name}"])).get("program", "") for name in names}
+        then = {json.loads(str(bank.provenance[f"{LABELLED}{name}"])).get("program", "?") for name in names}
         with suppress(MeasureError):  # which is needed for what is not labelled yet only
             if then != {now := measure.program()}:
                 log.warning("%s: was labelled by %s, here is %s", path, " and ".join(sorted(then)), now)

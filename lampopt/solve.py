@@ -18,7 +18,6 @@ from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem,
 
 MET = "every target is met"
 ALIKE = 1e-3  # of what gives alone and of what all give: not told twice
-ROUNDING = 1e-6  # of measured values
 GIVES = 1e-6  # what gives less [normalised] is not told to give
 
 
@@ -50,15 +49,9 @@ def columns(bank: Bank) -> dict[str, Column]:
     found = {q.name: Column(q.name, q.unit, v) for q, v in zip(bank.space, bank.parameters.T, strict=True)}
     found |= {q.name: Column(q.name, q.unit, v) for q, v in zip(bank.label_space, bank.labels.T, strict=True)}
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
-        found[address] = Column(
-            address, found[parameter].unit, values if differ(values) else np.full_like(values, values.mean())
-        )
+        same = found[parameter].spread == 0  # then what differs is rounding, of files in single precision
+        found[address] = Column(address, found[parameter].unit, np.full_like(values, values.mean()) if same else values)
     return found
-
-
-def differ(values: Array) -> bool:
-    """Whether what was read off the exemplars' meshes (N,) differs by more than rounding (single precision's)."""
-    return bool(np.ptp(values) > ROUNDING * np.abs(values).max())
 
 
 def column(bank: Bank, name: str) -> Column:

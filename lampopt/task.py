@@ -40,6 +40,8 @@ from lampopt.written import MeshFile
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+PROGRAM = "program."  # before a measure's name in the provenance
+
 
 @dataclass(frozen=True, eq=False)
 class Designer:
@@ -245,7 +247,7 @@ class Task:
 
         return hashed(
             {
-                "versions": dict(self.provenance),
+                "versions": {name: said for name, said in self.provenance.items() if not name.startswith(PROGRAM)},
                 **contents(self.bank),
                 "limits": [dict(study.limits), dict(self.bank.limits)],
                 "solver": repr(study.solver),
@@ -328,8 +330,17 @@ class Task:
             "decoder": f"{self.bank.decoder} ({decoder.distribution} {decoder.version})",
             "level": self.study.level,
             "resolution": self.study.resolution,
-            **{f"program.{name}": what for name, made in self._measuring.items() if (what := _program(made))},
+            **{f"{PROGRAM}{name}": what for name, made in self._measuring.items() if (what := _program(made))},
         }
+
+    def outdated(self, result: Result) -> str:
+        """Why a recorded result is not this task's any more: another version of a program; "" where it is.
+
+        A program that is not there now is needed for what is not recorded only.
+        """
+        now = {name: what for name, what in self.provenance.items() if name.startswith(PROGRAM)}
+        other = [name for name, what in now.items() if result.provenance.get(name, what) != what]
+        return "; ".join(f"{name}: was {result.provenance[name]}, is {now[name]}" for name in other)
 
     @property
     def _measuring(self) -> dict[str, Measure]:

@@ -26,7 +26,6 @@ from lampopt.study import Study
 from lampopt.terms import MeasuredValue, Remembered, Row, model_value, shaped
 from lampopt.types import Array, Bank, Check, Needs, Term
 
-FOUND = 10.0  # times the limit of hard targets: a search meets what is not linear to its own tolerance only
 SPREAD = 0.2  # range of a measured value that no exemplar tells, in parts of its value at the start
 
 
@@ -57,7 +56,7 @@ class Goal:
         unit = self.quantity.unit
         wanted = f"{self.low:.6g}" if self.low == self.high else f"{self.low:.6g} to {self.high:.6g}"
         note = f"{value:.6g} {unit}".rstrip() + f", asked {wanted}"
-        limit = FOUND * limits["hard"] if self.hard else limits[self.name.partition(".")[0]]
+        limit = limits["hard.search"] if self.hard else limits[self.name.partition(".")[0]]
         return Check(self.name, off if value == value else value, "<=", limit, "half range", self.needs, note)
 
 

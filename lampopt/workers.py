@@ -102,7 +102,7 @@ def _one_by_one(
     mixes = Mixes(task.posed, task.solver, asked)
     for number, target in enumerate(asked):
         key = "" if place is None else task.key(target)
-        result = None if place is None else place.read(key, task.bank, task.designer)
+        result = None if place is None else _recorded(task, place, key)
         if result is None:
             began = time.perf_counter()
             try:
@@ -119,6 +119,15 @@ def _one_by_one(
                 continue
             result = _keep(task, place, key, result, time.perf_counter() - began)
         yield result
+
+
+def _recorded(task: Task, place: RunFolder, key: str) -> Result | None:
+    """What is recorded under `key`, if it is still this task's."""
+    result = place.read(key, task.bank, task.designer)
+    if result is not None and (other := task.outdated(result)):
+        log.info("a design is made anew: %s", other)
+        return None
+    return result
 
 
 def state(task: Task, asked: Sequence[Target], place: RunFolder) -> str:
@@ -207,7 +216,8 @@ class _Ahead:
         while self._next < len(self._asked) and len(self._sent) + len(self._done) < most:
             number, target = self._next, self._asked[self._next]
             if self._place is None or not (
-                self._keys[number] in {self._keys[n] for n in self._sent} or self._place.has(self._keys[number])
+                self._keys[number] in {self._keys[n] for n in self._sent}
+                or _recorded(self._task, self._place, self._keys[number])
             ):
                 # What takes long to solve is solved there too; the rest here, many together.
                 mix = None if self._task.solves_long(target) else self._mixes.at(number)[1]
@@ -283,7 +293,7 @@ class _Ahead:
         if self._place is None:
             return None
         key = self._keys[number]
-        return self._place.read(key, self._task.bank, self._task.designer) or self._loose.get(key)
+        return _recorded(self._task, self._place, key) or self._loose.get(key)
 
 
 def _result(task: Task, target: Target, answer: _Answer) -> Result:

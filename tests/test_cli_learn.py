@@ -126,6 +126,8 @@ def test_a_design_is_measured_with_options(cars, tmp_path, capsys):
     assert "90% interval" in checks["learned.drag"]["note"]
     assert "hole.radius" in checks
     assert {"stations.sweep_25", "stations.sweep_50"} <= {*checks}
+    code, said = asked(capsys, "make", bank, "--target", "length=1.5", "--measure", "hole:which=2,along=x,")
+    assert code == 2 and "expected NAME=VALUE, got ''" in said["error"]["message"]
     code, said = asked(capsys, "make", bank, "--target", "length=1.5", "--measure", "hole:wich=2")
     assert code == 2
     assert "unknown option 'wich'" in said["error"]["message"]

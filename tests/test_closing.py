@@ -158,6 +158,25 @@ def test_what_all_shapes_have_is_told_from_rounding():
         run(bank, targets={"extents.height": 0.81})
 
 
+def test_places_far_from_zero_are_no_rounding():
+    """Half a metre apart, at five million."""
+    boxes, space = small.boxes(), (*small.boxes().space, Parameter("place", "m"))
+    places = 5.4e6 + 0.5 * np.arange(7)
+    meshes = [mesh.apply_translation([x, 0, 0]) for mesh, x in zip(boxes.meshes, places, strict=True)]
+    boxes = replace(boxes, parameters=np.column_stack([boxes.parameters, places]), space=space, meshes=meshes)
+    bank = small.bank(boxes, plugins=PLUGINS, measured={"place": "centroid.x"})
+    assert run(bank, targets={"length": 2.5}).check("drift.place").limit == pytest.approx(0.05 * 3, rel=1e-3)
+    assert run(bank, targets={"centroid.x": 5.4e6 + 1.2}, level="alpha").check("target").passed
+
+
+def test_what_is_not_measured_needs_no_measure(bank):
+    """A bank whose measures are not installed here still solves."""
+    without = Plugins.load([("small", small.Plugin()), ("offer", Offer())], block=["measure"])
+    for level in ("alpha", "field"):
+        study = Study(bank, targets={"length": 2.5}, level=level)
+        assert lampopt.run(study, plugins=without).check("target").passed
+
+
 def test_the_limit_of_what_is_measured_can_be_set_by_name(bank):
     asked = {"targets": {"length": 3.2}, "measured": {"length": "extents.length"}}
     off = run(bank, **asked).check("measured.length")

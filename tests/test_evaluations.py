@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lampopt
-from lampopt import Maximise, Study
+from lampopt import Maximise, Spec, Study
 from lampopt.evaluations import FILE, Memory, evaluations
 from lampopt.reporting.searched import searched
 
@@ -130,3 +130,14 @@ def test_a_hard_target_has_to_be_met(bank, tmp_path):
         found = searched(tmp_path, study, bank, PLUGINS)
         assert [one.feasible for one in found.steps] == [False, True]
         assert [one.value for one in found.steps] == pytest.approx([2.0, 0.00001])
+
+
+def test_where_some_exemplars_take_no_part_the_report_tells_what_was_measured(bank, tmp_path):
+    study = Study(
+        bank, {"drag": 0.33}, ranges={"volume": (2.0, 2.6)}, measures=ASKED["measures"], objective=Maximise("width"),
+        solver=Spec("nlopt", evaluations=20),
+    )  # fmt: skip
+    lampopt.run(study, tmp_path, report=True, plugins=PLUGINS)
+    found = searched(tmp_path, study, bank, PLUGINS)
+    assert found.steps and found.label == "own.volume"
+    assert (tmp_path / "report.html").exists()

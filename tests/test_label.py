@@ -105,20 +105,26 @@ def test_labels_of_another_version_are_told(tmp_path, monkeypatch, caplog):
     assert "was labelled by solver 1, here is solver 2" in caplog.text
 
 
-def test_a_run_folder_does_not_mix_versions_of_a_program(tmp_path, monkeypatch):
+@pytest.mark.parametrize("crew", [False, True])
+def test_a_run_folder_does_not_mix_versions_of_a_program(tmp_path, monkeypatch, crew):
     study = lampopt.Study(small.bank(), {"width": 1.2}, measures={"flow": Solver()})
 
     def values():
-        found = lampopt.sweep(study, {"length": [2.1, 2.5]}, tmp_path, report=False, plugins=small.plugins())
-        return [(r.check("flow.drag").value, r.provenance["program.flow"]) for r in found]
+        with ThreadPoolExecutor(2) as threads:
+            found = lampopt.sweep(
+                study, {"length": [2.1, 2.5]}, tmp_path, report=False, plugins=small.plugins(),
+                executor=threads if crew else None,
+            )  # fmt: skip
+            return [(r.check("flow.drag").value, r.provenance["program.flow"]) for r in found]
 
     first = values()
+    assert values() == first and len(CALLS) == 2
+    monkeypatch.setattr(Solver, "version", "")  # what is recorded needs none
     assert values() == first and len(CALLS) == 2
     monkeypatch.setattr(Solver, "version", "2")
     assert values() == [(pytest.approx(2 * drag), "solver 2") for drag, _ in first]
     assert len(CALLS) == 4
-    monkeypatch.setattr(Solver, "version", "1")
-    assert values() == first and len(CALLS) == 4
+    assert len([*lampopt.results(tmp_path, every=True, plugins=small.plugins())]) == 2
 
 
 def test_a_label_of_that_name_is_replaced():

@@ -276,6 +276,16 @@ def two(first, second):
     return trimesh.util.concatenate([first, second])
 
 
+def test_a_flap_without_volume_has_no_side():
+    """Two sheets on top of each other, closed: whether they face inward is rounding."""
+    body = trimesh.creation.box((1, 1, 1))
+    for seed in range(20):
+        draw = np.random.default_rng(seed)
+        corners = draw.normal(size=(4, 2)) @ draw.normal(size=(2, 3)) + [3, 0, 0]
+        flap = trimesh.Trimesh(corners, [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], process=False)
+        assert Volume()(two(body, flap))[0] == pytest.approx(1)
+
+
 SOLID = [Wall(), Centroid(), Inertia(), Volume(), WettedArea()]
 
 

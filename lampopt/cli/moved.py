@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from urllib.parse import quote
 
 import click
 import numpy as np
@@ -104,7 +103,7 @@ def sensitivities(file: Path, targets: tuple[str, ...], reference: str | None, s
         arrays = {f"motion_{i}": motion for i, motion in enumerate(found.motion)}
         np.savez(out / "motion.npz", names=np.array(found.names), vertices=np.asarray(found.mesh.vertices), **arrays)
         for name in found.names:
-            found.picture(name, out / f"{quote(name, safe=' ()')}.png")  # a name may have a slash in it
+            found.picture(name, out / f"{name.replace('/', '%2F')}.png")
     unit = bank.frame.unit
     document = {
         "bank": str(file),

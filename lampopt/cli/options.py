@@ -88,7 +88,7 @@ def with_options(plugins: Plugins, kind: str, option: str, text: str) -> Spec:
     name, _, options = text.partition(":")
     parts = list[str]()
     for part in options.split(",") if options else ():
-        if parts and "=" not in part:
+        if parts and part and "=" not in part:
             parts[-1] += f",{part}"  # a value that is a list
         else:
             parts.append(part)

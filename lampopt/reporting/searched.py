@@ -21,7 +21,7 @@ from lampopt.study import Study
 from lampopt.types import Array, Bank, Spec
 from lampopt.units import number
 
-HELD = 1e-4  # of its value: what a hard target may be off and still be met
+HELD = 1e-5  # of its value: what a hard target may be off and still be met
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def searched(folder: Path, study: Study, bank: Bank, plugins: Plugins) -> Search
     if not noted:
         return Search()
     asked = _Asked(study, bank, plugins)
-    label, unit, sought = asked.sought({name for values in steps.values() for name in values})
+    label, unit, sought = asked.sought({name for values in steps.values() for name in values}, len(noted[-1].alpha))
     return Search(
         tuple(
             Evaluation(n, sought(values, np.frombuffer(key)), asked.violated(values), seconds[key])
@@ -75,8 +75,8 @@ class _Asked:
         self._ranges = self._known(study.ranges)
         self._hard = {address for name in study.hard for address in self._known({name: (0.0, 0.0)})}
 
-    def sought(self, noted: set[str]) -> tuple[str, str, Callable[[Mapping[str, float], Array], float]]:
-        """What the values of a search that noted these names are called, their unit, and what tells them."""
+    def sought(self, noted: set[str], count: int) -> tuple[str, str, Callable[[Mapping[str, float], Array], float]]:
+        """What the values of a search by `count` exemplars that noted these are called, their unit, what tells them."""
         goal = self._study.objective
         if isinstance(goal, Minimise):
             sign = -1.0 if goal.maximised else 1.0
@@ -84,7 +84,7 @@ class _Asked:
             if measured := next((address for address in known if address in noted), None):
                 return goal.name, known[measured][0], lambda values, alpha: sign * values.get(measured, float("nan"))
             column = columns(self._bank).get(goal.name)
-            if column is not None and np.isfinite(column.values).all():
+            if column is not None and count == len(column.values) and np.isfinite(column.values).all():
                 return goal.name, column.unit, lambda values, alpha: sign * float(alpha @ column.values)
         if missed := {address: want for address, want in self._targets.items() if address in noted}:
             unit = next(iter(missed.values()))[0] if len(missed) == 1 else ""
@@ -95,11 +95,12 @@ class _Asked:
         return first, unit, lambda values, alpha: values.get(first, float("nan"))
 
     def violated(self, values: Mapping[str, float]) -> float:
-        """How far the worst measured range or hard target is from being met; at most 0 where all are."""
+        """How far the worst measured range or hard target is from being met; 0 where all are."""
         off = [_off(values, *one) for one in self._ranges.items()]
         for address in self._hard & {*self._targets}:
             unit, low, high = self._targets[address]
-            off.append(_off(values, address, (unit, low - HELD * abs(low), high + HELD * abs(high))))
+            room = HELD * (abs(low) or 1.0)
+            off.append(_off(values, address, (unit, low - room, high + room)))
         return max([0.0, *(one for one in off if one == one)])
 
     def _known(self, wanted: Mapping[str, tuple[Value, Value]]) -> dict[str, tuple[str, float, float]]:

@@ -19,6 +19,7 @@ from lampopt.types.problem import (
     Term,
     called,
     gave,
+    missed,
     rough,
 )
 
@@ -50,5 +51,6 @@ __all__ = [
     "expect_bank",
     "frozen_array",
     "gave",
+    "missed",
     "rough",
 ]

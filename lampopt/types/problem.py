@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -12,6 +12,7 @@ from lampopt.errors import InputError
 from lampopt.types.arrays import Array, assign, bounds, frozen_array, unique
 
 Status = Literal["exact", "inexact", "infeasible", "failed"]
+MISSED = 1e-3  # what a squared target may be off [half range]: below that it is too flat to be told
 BOUNDS = "bounds on alpha"  # how these are called where they stand in the way
 
 
@@ -52,6 +53,13 @@ def gave(term: Term, amount: float) -> str | None:
 def called(term: Term, otherwise: str) -> str:
     """The name of a term, or `otherwise`."""
     return str(getattr(term, "name", otherwise))
+
+
+def missed(terms: Iterable[Term], alpha: Array) -> list[str]:
+    """The names of those that are soft targets, squared, and off by more than a square tells from 0."""
+    asked = [term for term in terms if getattr(term, "target", False)]
+    off = [term(alpha)[0] / getattr(term, "weight", 1.0) for term in asked]
+    return [called(term, "a target") for term, square in zip(asked, off, strict=True) if not square <= MISSED**2]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from lampopt.types import BOUNDS, Array, Conflict, Expressible, Mix, Problem, Status, Term, called
+from lampopt.types import BOUNDS, Array, Conflict, Expressible, Mix, Problem, Status, Term, called, missed
 
 from .outside import Outside
 from .quadratic import Squares
@@ -24,7 +24,6 @@ from .words import held_off, infeasible
 FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the centre
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
 HELD = 1e-6  # what is met to this [normalised] is met
-MISSED = 1e-3  # what a squared target may be off [half range]: below that it is too flat to be told
 PRESSING = 1e-4  # a multiplier this large [at most 1] tells that a requirement presses on those that give
 SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 WORDS = {
@@ -85,11 +84,11 @@ class Nonlinear:
             status = "Diverging_Iterates"
         words = WORDS.get(status, f"IPOPT ended with {status}")
         solved = status in SOLVED
-        missed = np.abs(residual).max(initial=0.0) > HELD * (1 + np.abs(problem.target).max(initial=0.0))
-        wished = [called(term, "a target") for term in problem.objectives if _is_missed(term, found)]
-        if solved and not missed and wished and self._kept(found):
+        off = np.abs(residual).max(initial=0.0) > HELD * (1 + np.abs(problem.target).max(initial=0.0))
+        wished = missed(problem.objectives, found)
+        if solved and not off and wished and self._kept(found):
             return Mix(found, residual, "inexact", f"{', '.join(wished)} cannot be had nearby, or is held off; {words}")
-        if solved and not missed and self._kept(found):
+        if solved and not off and self._kept(found):
             return Mix(found, residual, "exact", f"every target is met; {words}" if len(problem.names) else words)
         asked = _Elastic(Requirements.of(problem, soft=True), self._terms(), near, self.iterations)
         if conflicts := asked.conflicts():
@@ -121,11 +120,6 @@ class Nonlinear:
     def _kept(self, alpha: Array) -> bool:
         terms = [max(value, low - value) for _, term, low in self._terms() for value in [term(alpha)[0]]]
         return all(value <= HELD for value in [*terms, float(np.abs(self.must.off(alpha)).max(initial=0.0))])
-
-
-def _is_missed(term: Term, alpha: Array) -> bool:
-    """Whether a term that is a target, squared, is off by more than noise."""
-    return bool(getattr(term, "target", False)) and not term(alpha)[0] <= MISSED**2
 
 
 @dataclass(eq=False)

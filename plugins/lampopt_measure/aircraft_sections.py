@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 MODELS = ("", "half", "whole")
 ENDS = np.array([0.05, 0.15, 0.3])  # of the extent across: how far from either end sections are compared
-UNLIKE = 1.1  # ratio of their areas from which on a model is a half one
-ASIDE = 0.05  # of the chord: that its nose or tail is elsewhere, too
+LIKE, UNLIKE = 1.05, 1.5  # ratios of their areas up to which a model may be whole, and from which on it is a half one
+ASIDE = 0.05  # of the chord: how far their noses and tails may be apart
 TIE = 1e-9  # of the extent across: vertices nearer than this to the outermost one are a tip together
 FACING = 0.95  # cosine: faces that close a half model are turned to its plane of symmetry
 RIM = 0.01  # of the extent across: and lie nearer than this to its end
@@ -60,9 +60,9 @@ class Halves:
         first, last = (float((vertices[rows, 1] * weights).sum()) for rows, weights in (low, high))
         if not last > first:
             raise MeasureError("expected a wing that extends along y, got a flat mesh")
-        sections = first + np.array([ENDS, 1 - ENDS]) * (last - first)
-        areas = _enclosed(vertices, faces, sections.ravel()).reshape(2, -1)
-        if model == "whole" or (not model and _alike(areas, _chords(vertices, faces, sections))):
+        sections = first + np.array([ENDS, 1 - ENDS, np.full_like(ENDS, 0.5)]) * (last - first)
+        areas = _enclosed(vertices, faces, sections.ravel()).reshape(3, -1)
+        if model == "whole" or (not model and _is_whole(areas, _chords(vertices, faces, sections))):
             return cls(vertices, faces, low, high, (1, -1))
         if areas[0].sum() >= areas[1].sum():
             return cls(vertices, faces, _cap(vertices, faces, -1) or low, high, (1,))
@@ -156,18 +156,39 @@ def cuts(vertices: Array, faces: Array, heights: Array) -> Cuts:
 
 
 def _chords(vertices: Array, faces: Array, heights: Array) -> Array:
-    """(..., 2) x of nose and tail of the sections at y = `heights` (...,)."""
+    """(..., 2) x of nose and tail of the sections at y = `heights` (...,); NaN where there is none."""
     cut = cuts(vertices, faces, heights.ravel())
     by_section = [cut.points[cut.section == k, 0] for k in range(heights.size)]
-    found = [[x.min(initial=np.inf), x.max(initial=-np.inf)] for x in by_section]
+    found = [[x.min(), x.max()] if len(x) else [np.nan, np.nan] for x in by_section]
     return np.array(found).reshape(*heights.shape, 2)
 
 
-def _alike(areas: Array, chords: Array) -> bool:
-    """Whether sections as far from either end, areas (2, n) and chords (2, n, 2), are each other's mirror images."""
-    if not (areas.max(axis=0) <= UNLIKE * areas.min(axis=0)).all():
+def _is_whole(areas: Array, chords: Array) -> bool:
+    """Whether sections near either end and in the middle, areas (3, n) and chords (3, n, 2), are those of both halves.
+
+    Those of a whole model are mirror images, but for a model that is not quite straight; then what lies between them
+    tells: of a half model it is between theirs in size and place.
+
+    Raises
+    ------
+    MeasureError
+        If an untapered half and a whole that is not straight would look the same.
+    """
+    one, other, middle = areas
+    if (np.maximum(one, other) > UNLIKE * np.minimum(one, other)).any():
         return False
-    return bool((np.abs(chords[0] - chords[1]).max(axis=-1) <= ASIDE * np.ptp(chords, axis=-1).max(axis=0)).all())
+    apart = np.abs(chords[0] - chords[1]) > ASIDE * np.ptp(chords[:2], axis=-1).max(axis=0)[:, None]
+    if (np.maximum(one, other) > LIKE * np.minimum(one, other)).any():
+        return bool(middle[0] > max(one[0], other[0]))
+    if not apart.any():
+        return True
+    beside = np.abs(chords[2] - chords[:2].mean(axis=0)) < np.abs(chords[0] - chords[1]) / 4
+    if beside[apart].all():
+        raise MeasureError(
+            "expected a model that can be told to be half or whole: this may be an untapered half or a whole one that "
+            "is not straight: say model='half' or 'whole'"
+        )
+    return True
 
 
 def _enclosed(vertices: Array, faces: Array, heights: Array) -> Array:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 
+FLAT = 1e-9  # share of all volume below which a part has none
 TIE = 1e-9  # share of a size within which two vertices are equally far out
 SMALLEST, LARGEST = 1e-50, 1e50  # sizes whose fifth powers, as moments of inertia are, still are numbers
 
@@ -104,12 +105,17 @@ def solid(mesh: Trimesh, what: str) -> Trimesh:
             f"{what}: expected faces that point outward, got an enclosed volume of {volume:.6g}; "
             "turn the faces round (mesh.invert())"
         )
-    if len(inward := inside_out(np.asarray(closed.vertices, float), np.asarray(closed.faces))):
+    if len(inward := _inward(closed)):
         raise MeasureError(
             f"{what}: expected faces that point outward, got {len(inward)} of its parts inside out, which are no "
             "cavities: turn them round (lampopt intake does)"
         )
     return closed
+
+
+def _inward(mesh: Trimesh) -> Array:
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    return inside_out(vertices, faces, *shells(vertices, faces))
 
 
 def shells(vertices: Array, faces: Array) -> tuple[Array, Array]:
@@ -126,18 +132,18 @@ def shells(vertices: Array, faces: Array) -> tuple[Array, Array]:
     return part, np.bincount(part, (a * np.cross(b, c)).sum(axis=1)) / 6
 
 
-def inside_out(vertices: Array, faces: Array) -> Array:
+def inside_out(vertices: Array, faces: Array, part: Array, volume: Array) -> Array:
     """Numbers of the parts, as `shells` has them, that face inward and lie in no other: a cavity lies in one."""
     import igl
 
-    part, volume = shells(vertices, faces)
-    if not (volume < 0).any():
+    hollow = volume < -FLAT * np.abs(volume).sum()  # a flat flap's sign is rounding
+    if not hollow.any():
         return np.empty(0, np.int64)
     solids = np.ascontiguousarray(faces[np.isin(part, np.flatnonzero(volume > 0))])
-    suspect = volume[part] < 0
+    suspect = hollow[part]
     within = igl.fast_winding_number(vertices, solids, vertices[faces[suspect]].mean(axis=1)) > 0.5
     inside, every = (np.bincount(part[suspect], each, len(volume)) for each in (within, np.ones(suspect.sum())))
-    return np.flatnonzero((volume < 0) & (inside < every / 2))
+    return np.flatnonzero(hollow & (inside < every / 2))
 
 
 def enclosed_volume(mesh: Trimesh) -> float:

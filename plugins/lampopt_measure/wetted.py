@@ -57,7 +57,7 @@ def _outer(vertices: Array, faces: Array) -> list[tuple[Array, Array]]:
     outer = [(vertices, faces[part == k]) for k in np.flatnonzero(volume > 0)]
     if not outer:
         raise MeasureError("wetted-area: expected faces that point outward, got none; turn them round (mesh.invert())")
-    if len(inward := inside_out(vertices, faces)):
+    if len(inward := inside_out(vertices, faces, part, volume)):
         raise MeasureError(
             f"wetted-area: expected faces that point outward, got {len(inward)} of its parts inside out, which are no "
             "cavities: turn them round (lampopt intake does)"

@@ -8,7 +8,7 @@ import numpy as np
 
 from lampopt.errors import InputError, SolveError
 from lampopt.threads import one_thread
-from lampopt.types import Array, Mix, MixBatch, Problem, called
+from lampopt.types import Array, Mix, MixBatch, Problem, missed
 
 from .asked import MET, Asked
 from .evaluations import HELD
@@ -18,7 +18,6 @@ from .search import ALGORITHMS
 
 CHOICES = ("auto", *ALGORITHMS)
 SPACES = ("parameters", "all")
-MISSED = 1e-3  # what a squared target may be off [half range]: below that it is too flat to be told
 UNABLE = {  # what algorithms are not able to take
     "mma": ("equalities",),
     "ccsaq": ("equalities",),
@@ -107,7 +106,7 @@ class NLopt:
             return Mix(found.alpha, problem.matrix @ found.alpha - problem.target, "failed", words)
         if not found.conflicts:
             mix = _told(problem, found.alpha, found.words, HELD)
-            if mix.status == "exact" and (wished := _missed(problem, found.alpha)):
+            if mix.status == "exact" and (wished := missed(problem.objectives, found.alpha)):
                 words = f"{', '.join(wished)} cannot be had nearby, or is held off; {found.words}"
                 return replace(mix, status="inexact", message=words)
             return mix
@@ -170,12 +169,6 @@ def _told(problem: Problem, alpha: Array, words: str, held: float) -> Mix:
     sets = "; ".join(" + ".join(c.names) if len(c.names) > 1 else f"{c.names[0]} cannot be met" for c in conflicts)
     said = f"no mix of these exemplars meets all that is asked: {sets} contradict each other; the nearest is returned"
     return Mix(alpha, residual, "infeasible", f"{said}{after}", conflicts)
-
-
-def _missed(problem: Problem, alpha: Array) -> list[str]:
-    """Soft targets that are no rows and off by more than noise."""
-    asked = [term for term in problem.objectives if getattr(term, "target", False)]
-    return [called(term, "a target") for term in asked if not term(alpha)[0] <= MISSED**2]
 
 
 def _held_off(problem: Problem, residual: Array) -> str:

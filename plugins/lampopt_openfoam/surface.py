@@ -211,10 +211,11 @@ def _joined_to(body: int, vertices: Array, faces: Array, part: Array, reach: flo
     import igl
     from trimesh import Trimesh
 
-    def apart(one: Array, other: Array) -> float:
-        """Of the vertices of faces from other faces."""
-        points = np.ascontiguousarray(vertices[np.unique(one)])
-        squared = igl.point_mesh_squared_distance(points, vertices, np.ascontiguousarray(other))[0]
+    def apart(points: Array, others: Array) -> float:
+        """Of the nearest point from faces."""
+        if not len(points):
+            return np.inf
+        squared = igl.point_mesh_squared_distance(points, vertices, np.ascontiguousarray(others))[0]
         return float(np.sqrt(squared.min()))
 
     crossing = part[self_intersections(Trimesh(vertices, faces, process=False))]
@@ -226,13 +227,23 @@ def _joined_to(body: int, vertices: Array, faces: Array, part: Array, reach: flo
         for k in sorted(waiting):
             own = faces[part == k]
             with_k = crossing[(crossing == k).any(axis=1)]
-            inside = igl.fast_winding_number(vertices, have, np.ascontiguousarray(vertices[np.unique(own)])) > 0.5
-            near = min(apart(own, have), apart(have, own)) <= reach  # a large face may have its corners far away
-            if near or inside.any() or np.isin(with_k, [*joined]).any():
+            corners = np.ascontiguousarray(vertices[np.unique(own)])
+            if (
+                np.isin(with_k, [*joined]).any()
+                or apart(corners, have) <= reach
+                or (igl.fast_winding_number(vertices, have, corners) > 0.5).any()
+                or apart(_beside(vertices[np.unique(have)], corners, reach), own) <= reach  # of large faces
+            ):
                 joined.add(k)
                 waiting.discard(k)
                 grown = True
     return joined
+
+
+def _beside(points: Array, corners: Array, reach: float) -> Array:
+    """Those of `points` that lie within the box about `corners`, grown by `reach`."""
+    low, high = corners.min(axis=0) - reach, corners.max(axis=0) + reach
+    return np.ascontiguousarray(points[((points >= low) & (points <= high)).all(axis=1)])
 
 
 def _check_closed(vertices: Array, faces: Array) -> None:
