@@ -21,6 +21,7 @@ from lampopt import lamp
 from lampopt.bank import decoder_of
 from lampopt.choices import Value
 from lampopt.closing import correctable
+from lampopt.designer import Designer
 from lampopt.errors import BankError, InputError, LampoptError, MeasureError, StudyError, SweepError
 from lampopt.experiments import MOST
 from lampopt.goals import Objective
@@ -32,7 +33,7 @@ from lampopt.protocols import Decoder, Measure, Progress
 from lampopt.reading import brief, path_of, why
 from lampopt.record import RunFolder, recorded
 from lampopt.study import Study
-from lampopt.task import Designer, Task
+from lampopt.task import Task
 from lampopt.types import Bank, Needs, Result, Spec
 from lampopt.units import said
 from lampopt.workers import judged, state

@@ -18,14 +18,13 @@ from lampopt.chain import Chain
 from lampopt.check import Limits, alpha_checks, field_checks, measure_checks, mesh_checks, stranger_checks
 from lampopt.choices import GIVEN, Value
 from lampopt.closing import Closed, closed, read_checks, told_without_turns
-from lampopt.decode import decode
-from lampopt.errors import EmptyMesh, InputError, MeasureError, PluginError, StudyError
+from lampopt.designer import Designer
+from lampopt.errors import MeasureError, PluginError, StudyError
 from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
 from lampopt.goals import Minimise, Reduce
 from lampopt.identity import contents, given, hashed, learned, told
 from lampopt.measured import resolve_address
-from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
 from lampopt.protocols import Checker, Decoder, External, Keeping, Measure, Model, Solver, State
@@ -35,49 +34,11 @@ from lampopt.solve import Posed, solve
 from lampopt.study import Study
 from lampopt.types import LEVELS, Array, Bank, Check, Design, Mix, Result, Scalar, Spec
 from lampopt.wishes import Wishes, goal_checks
-from lampopt.written import MeshFile
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
 PROGRAM = "program."  # before a measure's name in the provenance
-
-
-@dataclass(frozen=True, eq=False)
-class Designer:
-    """Makes designs of a bank; `decoder` is asked for only where a mesh has to be decoded."""
-
-    bank: Bank
-    decoder: Callable[[], Decoder]
-    resolution: int
-
-    def __call__(
-        self,
-        target: Mapping[str, float],
-        mix: Mix,
-        file: MeshFile | None = None,
-        provenance: Mapping[str, Scalar] | None = None,
-    ) -> Design:
-        """The design of one mix, its mesh read from `file` if it is there; `provenance` has the resolution it had."""
-        weights = mixed_weights(self.bank, mix.alpha)
-        resolution = (provenance or {}).get("resolution", self.resolution)
-        if not (isinstance(resolution, int) and 4 <= resolution <= 4096):
-            raise InputError(f"resolution: expected a whole number from 4 to 4096, got {resolution!r:.80}")
-
-        def make() -> Trimesh | None:
-            found = None if file is None else file.read()
-            if found is not None:
-                found.units = self.bank.frame.unit
-                return found
-            try:
-                made = decode(self.bank, self.decoder(), weights, resolution=resolution)
-            except EmptyMesh:
-                return None
-            if file is not None:
-                file.restore(made)
-            return made
-
-        return Design(target, mix, predicted(self.bank, mix.alpha), weights, make)
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,7 +58,7 @@ LAYERS = (
     {"calibrate", "compare", "extrapolation", "residuals"},
     {"database", "rows", "evaluations"},
     {"written"},
-    {"record"},
+    {"record", "designer"},
     {"mixes"},
     {"choices"},
     {"experiments"},
