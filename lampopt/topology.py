@@ -1,4 +1,4 @@
-"""What holds a surface together: closedness, bodies, genus."""
+"""What holds a surface together: closedness, bodies, genus, parts."""
 
 from __future__ import annotations
 
@@ -53,6 +53,18 @@ def topology(mesh: Trimesh) -> Topology:
         return Topology(False, bodies, None)
     euler = _sheets(order) - count // 2  # F faces have E = 3F/2 edges
     return Topology(True, bodies, bodies - euler // 2)  # even: each body is closed and oriented
+
+
+def parts(faces: Array) -> Array:
+    """(F,) numbers of the parts that faces (F, 3) hold together by the vertices that they share."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = int(faces.max(initial=-1)) + 1
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    links = coo_array((np.ones(len(ends), bool), tuple(ends.T)), (count, count))
+    _, label = connected_components(links, directed=False)
+    return np.asarray(np.unique(label[faces[:, 0]], return_inverse=True)[1])
 
 
 def _sheets(order: Array) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.meshfile import join
-from lampopt.topology import topology
+from lampopt.topology import parts, topology
 from lampopt.types import Array
 
 if TYPE_CHECKING:
@@ -120,13 +120,7 @@ def _inward(mesh: Trimesh) -> Array:
 
 def shells(vertices: Array, faces: Array) -> tuple[Array, Array]:
     """(F,) the part that each face belongs to, and (parts,) what closed parts enclose; negative if inside out."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    joined = coo_array((np.ones(len(ends), bool), tuple(ends.T)), (len(vertices), len(vertices)))
-    _, label = connected_components(joined, directed=False)
-    part = np.unique(label[faces[:, 0]], return_inverse=True)[1]
+    part = parts(faces)
     corners = vertices[faces]
     a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
     return part, np.bincount(part, (a * np.cross(b, c)).sum(axis=1)) / 6

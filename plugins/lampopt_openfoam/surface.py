@@ -17,7 +17,7 @@ from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.intake import repaired
 from lampopt.intersections import self_intersections
 from lampopt.meshfile import join
-from lampopt.topology import topology
+from lampopt.topology import parts, topology
 from lampopt.types import Array
 
 from .outcomes import FlowError
@@ -166,7 +166,7 @@ def _without_fragments(vertices: Array, faces: Array) -> tuple[Array, list[str]]
 
     The ground is where the lowest of all but the small parts ends; what stands on it reaches up to the body.
     """
-    part = _parts(faces)
+    part = parts(faces)
     if part.max() == 0:
         return faces, []
     corners = vertices[faces]
@@ -193,17 +193,6 @@ def _without_fragments(vertices: Array, faces: Array) -> tuple[Array, list[str]]
         what = "part apart from the body that stands" if len(kept) == 1 else "parts apart from the body that stand"
         said.append(f"kept {len(kept)} {what} on the ground")
     return faces[~np.isin(part, drop)], said
-
-
-def _parts(faces: Array) -> Array:
-    """(F,) numbers of the parts that faces hold together by shared vertices."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = int(faces.max()) + 1
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    _, label = connected_components(coo_array((np.ones(len(ends), bool), tuple(ends.T)), (n, n)), directed=False)
-    return np.asarray(np.unique(label[faces[:, 0]], return_inverse=True)[1])
 
 
 def _joined_to(body: int, vertices: Array, faces: Array, part: Array, reach: float) -> set[int]:
