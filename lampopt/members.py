@@ -276,7 +276,7 @@ def _plan(bank: Bank, **change: object) -> str:
     before = {
         "plan": bank.provenance.get("plan"),
         "weights": lamp.digest(bank.weights),
-        "labels": [*(str(q) for q in bank.label_space), lamp.digest(bank.labels), bank.provenance.get("labels")],
+        "labels": [*(str(q) for q in bank.label_space), lamp.digest(bank.labels)],
         "names": bank.names,
         "measured_by": dict(bank.measured_by),
         "limits": dict(bank.limits),

@@ -354,8 +354,9 @@ def test_removed_into_a_file(bank, tmp_path):
 def test_other_labels_make_another_bank(bank, tmp_path):
     remove(bank, tmp_path / "left.lamp")
     labelled = lampopt.label(bank, "volume", plugins=small.plugins())
-    with pytest.raises(BankError, match="holds another bank"):
-        remove(labelled, tmp_path / "left.lamp")
+    for other in (labelled, replace(bank, labels=2 * bank.labels)):
+        with pytest.raises(BankError, match="holds another bank"):
+            remove(other, tmp_path / "left.lamp")
 
 
 def test_a_newcomers_source_need_not_know_the_banks_order(bank):
