@@ -149,6 +149,13 @@ def test_a_whole_wing_need_not_be_quite_straight(taper, sweep, yaw_deg):
     assert Wing()(whole)[0] == pytest.approx(10, rel=0.02)
 
 
+def test_a_whole_wing_may_be_thicker_on_one_side():
+    half = tapered(0.5, 0.5)
+    other = mirrored(half)
+    other.apply_scale([1, 1, 1.2])
+    assert Wing()(trimesh.util.concatenate([half, other]))[:2] == pytest.approx([10, 7.5], rel=1e-6)
+
+
 def test_what_may_be_half_or_whole_is_asked():
     """An untapered half swept back, and a whole one turned by two degrees: each section lies behind the last."""
     half, turned = tapered(1.0, 0.5), tapered(1.0, 0.0, span=10.0)

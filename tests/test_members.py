@@ -371,6 +371,34 @@ def test_a_newcomers_source_need_not_know_the_banks_order(bank):
     assert grown.parameters[-1].tolist() == new.parameters[0].tolist()
 
 
+class Fickle:
+    """Cannot tell the length of a long box, and says NaN instead of why."""
+
+    names, units = ("length",), ("L",)
+
+    def __call__(self, mesh):
+        return np.where(mesh.extents[:1] > 2.9, np.nan, mesh.extents[:1])
+
+
+class Offer:
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return {"fickle": Fickle}
+
+
+@pytest.mark.parametrize("rows", [(4, 5), range(7)])
+def test_a_value_that_is_none_is_told_by_its_exemplar_before_anything_is_fitted(rows):
+    measured, plugins = {"length": "fickle.length"}, small.plugins(("offer", Offer()))
+    with pytest.raises(InputError, match=r"measured: 'fickle\.length' is nan for exemplar 'box_5'"):
+        small.bank(few(rows, measured={}), measured=measured, plugins=plugins)
+    assert not CALLS["fit"]
+    bank = small.bank(few(range(4), measured={}), measured=measured, plugins=plugins)
+    CALLS.clear()
+    with pytest.raises(InputError, match="is nan for exemplar 'box_5'"):
+        lampopt.add_exemplars(bank, few([5], measured={}), accept="all", plugins=plugins)
+    assert not CALLS["fit"]
+
+
 def test_removing_is_one_step_and_needs_no_folder(bank, tmp_path, monkeypatch):
     def opened(*_):
         raise AssertionError("a folder for parts, and nothing is fitted")
