@@ -84,10 +84,19 @@ def lost(error: Exception) -> bool:
 
 def clusters(thing: object) -> bool:
     """Whether a client or an error is Dask's; an error then says what became of a design, not what is wrong with it."""
-    if any(cls.__module__.partition(".")[0] == "distributed" for cls in type(thing).__mro__):
+    if _own(thing):
         return True
     # Its executor stumbles over a result that is lost between being there and being fetched.
     frames = [frame for frame, _ in walk_tb(thing.__traceback__)] if isinstance(thing, Exception) else []
     if not frames or frames[-1].f_globals.get("__name__") != "distributed.cfexecutor":
         return False
     return bool(frames[-1].f_locals.get("status", "error") != "error")
+
+
+def given_up(error: Exception) -> str:
+    """Why a cluster has given a design up."""
+    return why(error) if _own(error) else "what it gave was lost before it was fetched"
+
+
+def _own(thing: object) -> bool:
+    return any(cls.__module__.partition(".")[0] == "distributed" for cls in type(thing).__mro__)

@@ -16,7 +16,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lampopt.crew import Crew, clusters, lost
+from lampopt.crew import Crew, clusters, given_up, lost
 from lampopt.errors import BankError, LampoptError, MeasureError, PluginError, StudyError, SweepError, may_pass
 from lampopt.evaluations import Memory
 from lampopt.mixes import Mixes
@@ -262,7 +262,7 @@ class _Ahead:
                         _leave_out(self._left_out, number, error)
                         return
                     if clusters(error):  # it gives up this one design; a pool of processes any that it had
-                        raise BrokenExecutor(f"design {dict(self._asked[number])}: {why(error)}") from error
+                        raise BrokenExecutor(f"design {dict(self._asked[number])}: {given_up(error)}") from error
                     raise
 
     def _keep_finished(self) -> None:

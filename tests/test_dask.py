@@ -16,7 +16,7 @@ import pytest
 
 import lampopt
 from lampopt import Study
-from lampopt.crew import Crew, lost
+from lampopt.crew import Crew, given_up, lost
 from lampopt.errors import PluginError, SweepError
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed: pip install 'lampopt[dask]'")
@@ -134,11 +134,12 @@ def test_all_workers_gone_and_the_cluster_closed(bank, tmp_path, here, monkeypat
     begun = sweep(Study(bank), tmp_path / "run", here, MANY)
     next(begun)
     here.cluster.scale(0)
-    with pytest.raises(
-        SweepError, match=r"lost: .*all that the cluster had, and in 0\.5 s no other has come\): \d+ of 20"
-    ):
+    with pytest.raises(SweepError, match=r"lost: .*\): \d+ of 20") as caught:
         list(begun)
-    assert "no worker of the cluster is there" in caplog.text
+    reason = str(caught.value)
+    if "lost before it was fetched" not in reason:  # a result may go with its worker just when it is asked for
+        assert "all that the cluster had, and in 0.5 s no other has come" in reason
+        assert "no worker of the cluster is there" in caplog.text
     here.cluster.scale(1)
     begun = sweep(Study(bank), tmp_path / "run", here, MANY)
     for _ in range(len(rows(tmp_path / "run")) + 1):
@@ -210,7 +211,8 @@ class Vanished:
 def test_a_result_lost_on_its_way_is_no_error_of_the_design(here, answer):
     future = Future()
     here.sync(distributed.cfexecutor._cascade_future, Vanished(answer), future)
-    assert lost(future.exception(timeout=10))
+    found = future.exception(timeout=10)
+    assert lost(found) and given_up(found) == "what it gave was lost before it was fetched"
     with pytest.raises(TypeError) as error:
         here.get_executor().submit(int, None).result()
     assert not lost(error.value)
