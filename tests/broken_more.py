@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from broken import BROKEN, breaks, noise
-from toys import Boxes, Drag, Learned, Linear, Nothing, Size, Volume
+from toys import Boxes, Drag, Learned, Linear, Nothing, Roughly, Size, Volume
 
 from lampopt.errors import MeasureError
+from lampopt.types import Check
 
 __all__ = ["BROKEN"]
 
@@ -209,6 +210,30 @@ class NudgesParameters(Drag):
         return gradient
 
 
+@breaks("check_model_interval_holds_the_value")
+class SurerTheMoreIsAsked(Roughly):
+    def interval(self, parameters, level):
+        return super().interval(parameters, 1 - level)
+
+
+@breaks("check_model_interval_holds_the_value")
+class SaysLowAndHighApart(Roughly):
+    def interval(self, parameters, level):
+        return np.moveaxis(super().interval(parameters, level), 2, 0)
+
+
+@breaks("check_model_interval_holds_the_value")
+class AboveItself(Roughly):
+    def interval(self, parameters, level):
+        return super().interval(parameters, level) + np.array([0.4, 1.0])
+
+
+@breaks("check_model_interval_holds_the_value")
+class OutsideAsOne(Roughly):
+    def outside(self, parameters):
+        return bool(super().outside(parameters).any())
+
+
 # regressions, and what they learn
 
 
@@ -343,6 +368,47 @@ class LearnsTooSteep(Regresses):
         return TooSteep(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
 
 
+class Vain(Quadric):
+    def interval(self, parameters, level):
+        values = self(parameters)
+        return np.stack([values, values + level], axis=2) + 0.1
+
+    def outside(self, parameters):
+        return np.abs(np.asarray(parameters) - [1.4, 20, 3]).max(axis=1) > 6
+
+
+@breaks_regression("check_learned_interval_holds_the_value")
+class LearnsToBeVain(Regresses):
+    def spoil(self, fitted):
+        return Vain(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
+class Anywhere(Vain):
+    def interval(self, parameters, level):
+        values = self(parameters)
+        return np.stack([values - level, values + level], axis=2)
+
+    def outside(self, parameters):
+        return np.zeros(len(parameters), bool)
+
+
+@breaks_regression("check_far_from_the_rows_is_outside")
+class TrustsItselfAnywhere(Regresses):
+    def spoil(self, fitted):
+        return Anywhere(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
+class Nowhere(Anywhere):
+    def outside(self, parameters):
+        return np.ones(len(parameters), bool)
+
+
+@breaks_regression("check_far_from_the_rows_is_outside")
+class TrustsItselfNowhere(Regresses):
+    def spoil(self, fitted):
+        return Nowhere(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
 class HalfKept(Quadric):
     def state(self):
         return {"matrix": self.matrix.astype(np.float32)}
@@ -460,3 +526,47 @@ class TruthIsLarger(Yields):
 @breaks("check_checker_protocol")
 class NeedsEverything(Nothing):
     needs = "everything"
+
+
+class Says(Nothing):
+    def __call__(self, bank, design):
+        return [Check("shares", float(abs(design.mix.alpha).sum()), "<=", 2.0, "", "alpha")]
+
+
+@breaks("check_checks_are_told")
+class SaysYes(Says):
+    def __call__(self, bank, design):
+        return [True]
+
+
+@breaks("check_checks_are_told")
+class OneNameForTwoChecks(Says):
+    def __call__(self, bank, design):
+        return 2 * super().__call__(bank, design)
+
+
+@breaks("check_checks_are_told")
+class LooksAtTheFieldUnsaid(Says):
+    def __call__(self, bank, design):
+        return [replace(check, needs="field") for check in super().__call__(bank, design)]
+
+
+@breaks("check_checking_is_deterministic")
+class ThrowsDice(Says):
+    def __call__(self, bank, design):
+        return [replace(check, value=float(noise())) for check in super().__call__(bank, design)]
+
+
+@breaks("check_design_is_left")
+class Straightens(Nothing):
+    needs = "mesh"
+
+    def __call__(self, bank, design):
+        design.mesh.vertices[:] = design.mesh.vertices.round(1)
+        return ()
+
+
+@breaks("check_no_mesh_is_made_unasked")
+class LooksAtTheMeshUnsaid(Says):
+    def __call__(self, bank, design):
+        return [replace(check, value=design.mesh.volume) for check in super().__call__(bank, design)]

@@ -48,7 +48,7 @@ def test_surrogates_that_are_right(check):
     check()
 
 
-@testing.model_checks(toys.Drag())
+@testing.model_checks(toys.Drag(), toys.Roughly())
 def test_models_that_are_right(check):
     check()
 
@@ -58,7 +58,7 @@ def test_sources_that_are_right(check):
     check()
 
 
-@testing.checker_checks(toys.Nothing())
+@testing.checker_checks(toys.Nothing(), toys.Slender(), toys.Priced())
 def test_checkers_that_are_right(check):
     check()
 

@@ -1,12 +1,13 @@
 """The smallest plugins that keep every promise; tests/test_kit.py breaks them one promise at a time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+import lampopt
 from lampopt.errors import EmptyMesh, FitError, InputError, MeasureError, SolveError
 from lampopt.testing import shapes
-from lampopt.types import Conflict, Exemplars, Mix, MixBatch, Parameter
+from lampopt.types import Check, Conflict, Exemplars, Mix, MixBatch, Parameter
 
 
 @dataclass(frozen=True)
@@ -201,6 +202,18 @@ class Drag:
 
 
 @dataclass(frozen=True)
+class Roughly(Drag):
+    """The same, known to some tenths and for speeds below 2."""
+
+    def interval(self, parameters, level):
+        values = self(parameters)
+        return np.stack([values - level / 2, values + level / 2], axis=2)
+
+    def outside(self, parameters):
+        return np.asarray(parameters)[:, 0] > 2
+
+
+@dataclass(frozen=True)
 class Boxes:
     """Source of boxes of given length and width."""
 
@@ -228,6 +241,35 @@ class Nothing:
 
     def __call__(self, bank, design):
         return ()
+
+
+@dataclass(frozen=True)
+class Slender:
+    """Checker of proportions."""
+
+    most: float = 4.0
+    needs = "mesh"
+
+    def __call__(self, bank, design):
+        longest, shortest = max(design.mesh.extents), min(design.mesh.extents)
+        return [Check("slenderness", longest / shortest, "<=", self.most, "", self.needs)]
+
+
+@dataclass(frozen=True)
+class Priced:
+    """Checker for banks whose exemplars have a price."""
+
+    needs = "alpha"
+
+    def __call__(self, bank, design):
+        prices = bank.labels[:, [label.name for label in bank.label_space].index("price")]
+        return [Check("price", float(design.mix.alpha @ prices), "info", None, "", "alpha")]
+
+    @staticmethod
+    def example_design():
+        priced = replace(Boxes()(), labels=np.arange(5.0)[:, None], label_space=(Parameter("price"),))
+        bank = lampopt.build_bank(priced, "vertex-template")
+        return bank, lampopt.run(lampopt.Study(bank, {"length": 1.0})).design
 
 
 @dataclass(frozen=True)

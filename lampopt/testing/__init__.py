@@ -17,7 +17,7 @@ from typing import Any
 from lampopt.errors import InputError, LampoptError, PluginError
 from lampopt.plugins import Offer, Plugins
 from lampopt.protocols import Regression
-from lampopt.testing import decoders, measures, others, shapes, solvers
+from lampopt.testing import checkers, decoders, measures, others, shapes, solvers
 from lampopt.testing.engine import (
     CheckFunction,
     ConformanceError,
@@ -63,7 +63,7 @@ CHECKS: Mapping[str, tuple[CheckFunction, ...]] = MappingProxyType(
         "model": others.MODEL_CHECKS,
         "regression": others.REGRESSION_CHECKS,
         "source": others.SOURCE_CHECKS,
-        "check": others.CHECKER_CHECKS,
+        "check": checkers.CHECKS,
     }
 )
 Excuses = Mapping[str, str]

@@ -1,16 +1,16 @@
-"""What a model, a regression, a source and a checker have to do."""
+"""What a model, a regression and a source have to do."""
 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from lampopt.protocols import Checker, Model, Regression, Source, State
+from lampopt.protocols import Model, Regression, Source, State, Uncertain
 from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, read_only, require
 from lampopt.testing.measures import check_units_can_be_read
-from lampopt.types import Array, Exemplars, Needs
+from lampopt.types import Array, Exemplars
 
 FEW = 4  # exemplars whose meshes are loaded
 STEP = 1e-4  # relative, for differences
@@ -93,6 +93,29 @@ def check_model_parameters_are_left(model: Any) -> None:
     expect(np.array_equal(given, kept), "the model changed the parameters it was given")
 
 
+def check_model_interval_holds_the_value(model: Any) -> None:
+    """An interval tells how far to trust the label, so it has to surround it and grow with the coverage."""
+    _interval_holds(model, parameters(model))
+
+
+def _interval_holds(model: Any, given: Array) -> None:
+    has_it = isinstance(model, Uncertain)
+    if not has_it:
+        raise NotApplicable("it states no interval")
+    values, (narrow, wide) = np.asarray(model(given)), (np.asarray(model.interval(given, one)) for one in (0.5, 0.95))
+    wanted = (*values.shape, 2)
+    for found in (narrow, wide):
+        expect(found.shape == wanted, f"interval: expected shape {wanted}, got {found.shape}")
+    slack = 1e-9 * np.abs(values)
+    held = (narrow[..., 0] <= values + slack) & (values - slack <= narrow[..., 1])
+    nested = (wide[..., 0] <= narrow[..., 0]) & (narrow[..., 1] <= wide[..., 1])
+    expect(held.all(), "interval: at coverage 0.5 it does not hold the predicted label")
+    expect(nested.all(), "interval: at coverage 0.95 it is narrower than at 0.5")
+    outside = np.asarray(model.outside(given))
+    good = outside.shape == (len(given),) and outside.dtype == bool
+    expect(good, f"outside: expected {len(given)} truth values, got {outside!r:.80}")
+
+
 MODEL_CHECKS: tuple[CheckFunction, ...] = (
     check_model_protocol,
     *COMMON,
@@ -101,6 +124,7 @@ MODEL_CHECKS: tuple[CheckFunction, ...] = (
     check_model_rows_are_independent,
     check_model_is_deterministic,
     check_model_gradient_agrees_with_differences,
+    check_model_interval_holds_the_value,
     check_model_parameters_are_left,
 )
 
@@ -185,6 +209,22 @@ def check_learned_gradient_follows_the_values(regression: Any) -> None:
     _slopes_agree(fitted, given)
 
 
+def check_learned_interval_holds_the_value(regression: Any) -> None:
+    """An interval tells how far to trust the label, so it has to surround it and grow with the coverage."""
+    _interval_holds(_learned(regression), _rows(20, 9)[0])
+
+
+def check_far_from_the_rows_is_outside(regression: Any) -> None:
+    """A study may only trust what was learned where there was something to learn from."""
+    fitted, (given, _) = _learned(regression), _rows(60, 1)
+    if not isinstance(fitted, Uncertain):
+        raise NotApplicable("it knows no outside")
+    far = given[:1] + 20 * np.ptp(given, axis=0)
+    expect(np.all(fitted.outside(far)), "outside: False at 20 times the spread of the rows away from them")
+    inside = 1 - np.mean(fitted.outside(given))
+    expect(inside > LEARNT, f"outside: True of {1 - inside:.0%} of the rows that it was fitted on")
+
+
 def check_learned_model_is_kept(regression: Any) -> None:
     """What was learned is stored beside the bank; read back it has to give the same values."""
     fitted, (given, _) = _learned(regression), _rows(10, 9)
@@ -215,6 +255,8 @@ REGRESSION_CHECKS: tuple[CheckFunction, ...] = (
     check_unlabelled_rows_do_not_count,
     check_learned_rows_are_independent,
     check_learned_gradient_follows_the_values,
+    check_learned_interval_holds_the_value,
+    check_far_from_the_rows_is_outside,
     check_learned_model_is_kept,
     check_rows_given_are_left,
 )
@@ -318,12 +360,3 @@ SOURCE_CHECKS: tuple[CheckFunction, ...] = (
     check_source_parameters_differ,
     check_source_mesh_at_is_the_exemplar,
 )
-
-
-def check_checker_protocol(checker: Any) -> None:
-    """Checks run in the order of what they need, so that a sweep stops before the dear ones."""
-    require(checker, Checker)
-    expect(checker.needs in get_args(Needs), f"needs: expected one of {get_args(Needs)}, got {checker.needs!r}")
-
-
-CHECKER_CHECKS: tuple[CheckFunction, ...] = (check_checker_protocol, *COMMON)
