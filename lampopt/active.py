@@ -128,7 +128,7 @@ def active(
         raise StudyError(f"active: expected a Study, got {study!r:.80}")
     if not isinstance(study.objective, Reduce) or study.reference is None:
         raise StudyError(f"active: expected an objective such as Reduce('flow.drag', by=0.1), got {study.objective}")
-    name, by = study.objective.name, study.objective.by
+    goal, name = study.objective, study.objective.name
     task = Task.of(study, plugins)
     bank = task.bank
     count = min(len(bank), (len(bank.space) + 1) // 2 + 2) if first is None else whole(first, "first", 2, len(bank))
@@ -176,7 +176,7 @@ def active(
             "have one: expected a reference with a value other than 0, and one more exemplar; lampopt.label tells why "
             "a measure cannot say anything of an exemplar"
         )
-    wanted, reach = (1 - by) * start, 1.0
+    wanted, reach = goal.of(start), 1.0
     plane = Plane(parameters, np.zeros_like, (*seen[1:], seen[0]))
     best: tuple[tuple[bool, float], float, Result] | None = None
     stuck, shelf = np.full(len(bank), np.nan), _Shelf(folder)

@@ -19,12 +19,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt import lamp
-from lampopt.bank import decoder_of, hashed, uncalibrated
+from lampopt.bank import decoder_of, uncalibrated
 from lampopt.check import Limits
 from lampopt.decode import decode
 from lampopt.errors import EmptyMesh, InputError
-from lampopt.holdout import asked, chosen, designed, evidence, off, outermost
-from lampopt.intake import intake
+from lampopt.holdout import asked, designed, evidence, off, outermost, own
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Progress, Solver
 from lampopt.reading import path_of
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
 
 TRIALS = 64  # designs at least, as far as there are different ones
 TELLING = 0.75  # least area under the ROC curve of a check that decides
+NOISE = 1e-6  # [box, range]: what is below is the rounding of single precision, and tells nothing
 BACKSTOP = 2.0  # times what was seen, for one that does not
 TRIES = 50  # draws of others that could meet them
 UNCALIBRATED = ("target", "hard", "range", "clearance")  # limits of what was asked and of the box, not of the shape
@@ -137,6 +137,7 @@ def limits_from(
     left = np.ones(len(errors), bool)
     for drift, name in sorted((name.startswith("drift."), name) for name in found.checks):
         values = found.values[:, found.checks.index(name)]
+        values = np.where(values < NOISE, 0.0, values)
         known = ~np.isnan(values) & (left if drift else True)
         if not (known & good).any():
             continue
@@ -148,7 +149,7 @@ def limits_from(
         seen = max(largest, defaults[name])
         telling = _told_apart(values[known], good[known]) >= TELLING
         if telling:
-            limits[name] = _passing(values[known], errors[known], found.tolerance)
+            limits[name] = max(_passing(values[known], errors[known], found.tolerance), NOISE)
         else:
             limits[name] = seen if drift or good.all() else BACKSTOP * seen
         left &= ~(values > limits[name])
@@ -271,7 +272,7 @@ def _reaches(bank: Bank, held: int, among: Array, solver: Solver, met: float) ->
 def _truth(bank: Bank, exemplars: Exemplars | None, decoder: Decoder, resolution: int) -> Callable[[int], Trimesh]:
     """The true mesh of each exemplar by number."""
     if exemplars is not None:
-        meshes = _same(bank, exemplars).meshes
+        meshes = own(bank, exemplars).meshes
         return lambda i: meshes[i]
 
     def decoded(i: int) -> Trimesh:
@@ -283,25 +284,3 @@ def _truth(bank: Bank, exemplars: Exemplars | None, decoder: Decoder, resolution
             ) from error
 
     return decoded
-
-
-def _same(bank: Bank, exemplars: Exemplars) -> Exemplars:
-    """`exemplars` in the order of `bank`, mended as they were when it was built; InputError if they are others."""
-    what = "exemplars: expected those that the bank was built from"
-    if exemplars.unit != bank.frame.unit:
-        raise InputError(f"{what}, in {bank.frame.unit!r}, got {exemplars.unit!r}")
-    place = {name: i for i, name in enumerate(exemplars.names)}
-    if missing := [name for name in bank.names if name not in place]:
-        raise InputError(f"{what}, {', '.join(missing)} missing")
-    rows = [place[name] for name in bank.names]
-    quantities = [(q.name, q.unit) for q in exemplars.space]
-    if quantities != [(q.name, q.unit) for q in bank.space] or not np.array_equal(
-        exemplars.parameters[rows], bank.parameters
-    ):
-        raise InputError(f"{what}, got other parameters")
-    report = intake(chosen(exemplars, rows), accept="all", fellows=False, crossings=False)
-    report.refuse()
-    changed = {"added", "removed"} & set(bank.provenance)  # then the hash is not that of all meshes together
-    if not changed and bank.provenance.get("meshes") not in (None, hashed(report.facts.hashes)):
-        raise InputError(f"{what}, got other meshes under their names")
-    return report.exemplars

@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.angles import deviations
-from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, PluginError, StudyError, may_pass
+from lampopt.errors import (
+    BankError,
+    EmptyMesh,
+    InputError,
+    LampoptError,
+    MeasureError,
+    PluginError,
+    StudyError,
+    may_pass,
+)
 from lampopt.measured import resolve_address, values_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import Checker, Decoder, DesignChecks, Interval, Measure
@@ -331,9 +340,26 @@ def _trust(name: str, measure: Interval, mesh: Trimesh) -> list[str]:
 
 
 def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker], needs: Needs) -> list[Check]:
-    """What plugins' checkers of this level say."""
-    asked = {name: checker for name, checker in checkers.items() if checker.needs == needs}
-    return [check for name, checker in asked.items() for check in _checks(f"check {name!r}", checker(bank, design))]
+    """What plugins' checkers of this level say; one that cannot judge this design fails, with its reason.
+
+    Raises
+    ------
+    PluginError
+        If one raises anything but MeasureError or EmptyMesh, or returns no checks.
+    """
+    found: list[Check] = []
+    for name, checker in checkers.items():
+        if checker.needs != needs:
+            continue
+        try:
+            found += _checks(f"check {name!r}", checker(bank, design))
+        except (MeasureError, EmptyMesh) as error:
+            found.append(Check(name, float("nan"), "=", 1.0, "", needs, f"cannot judge: {error}", may_pass(error)))
+        except LampoptError:
+            raise
+        except Exception as error:  # whatever a stranger's checker raises
+            raise PluginError(f"check {name!r}: raised {error!r}") from error
+    return found
 
 
 def _checks(who: str, answer: object) -> Sequence[Check]:

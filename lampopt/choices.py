@@ -46,6 +46,25 @@ def spec_of(table: Mapping[str, Scalar], what: str) -> Spec:
         raise StudyError(f"{what}: {error}") from error
 
 
+def checks_of(given: object) -> tuple[str | Spec, ...]:
+    """Checks of plugins by name, or as a Spec where they have options; each once. Raises StudyError."""
+    found: list[str | Spec] = []
+    for choice in given if isinstance(given, Sequence) and not isinstance(given, str) else [None]:
+        if not isinstance(choice, str | Spec | Mapping):
+            raise StudyError(f"checks: expected a list of names, or of Spec(name, ...) with options, got {said(given)}")
+        found.append(spec_of(choice, "checks") if isinstance(choice, Mapping) else choice)
+    names_of([Spec.of(choice).name for choice in found], "checks")
+    return tuple(found)
+
+
+def written_checks(checks: Sequence[str | Spec]) -> list[str | dict[str, Any]]:
+    """For TOML: a name alone where it says it all."""
+    for choice in checks:
+        if isinstance(choice, Spec) and "name" in choice.options:
+            raise StudyError(f"checks: {choice} has an option `name`, which TOML could not tell from its own")
+    return [choice if isinstance(choice, str) else {"name": choice.name, **choice.options} for choice in checks]
+
+
 def measures_of(given: object) -> Mapping[str, Spec | Measure]:
     """What is to be measured, by the name under which its values are reported."""
     if isinstance(given, Measure) or (
@@ -113,6 +132,11 @@ def beside(choice: Spec, folder: Path | None) -> Spec:
     if folder is None or not isinstance(file, str) or not file:
         return choice
     return Spec(choice.name, **{**choice.options, "file": str(folder / file)})
+
+
+def beside_address(address: Any, folder: Path | None) -> Any:
+    """`address` of a measured value with the file that it may name, as in `ramp.measure:ramp`, taken from `folder`."""
+    return str(folder / address) if folder is not None and isinstance(address, str) and ":" in address else address
 
 
 def _absolute(choice: Spec) -> Spec:

@@ -167,6 +167,8 @@ def store_fitted(
         raise PluginError(f"{kind} {spec.name!r}: what it fits has no state(), so that it cannot be kept in a file")
     offer = (plugins or Plugins.load().report()).get(kind, spec.name)
     where = f"{cls.__module__}:{cls.__qualname__}"
+    if "." in cls.__qualname__:
+        raise PluginError(f"{kind} {spec.name!r} of {offer}: fits a {where}, expected a class of its module's own")
     if _package(cls.__module__) != _package(offer.resolve().__module__):
         raise PluginError(f"{kind} {spec.name!r} of {offer}: fits a {where}, expected a class of its own package")
     record = {

@@ -15,7 +15,7 @@ from lampopt.units import said
 
 @dataclass(frozen=True)
 class Reduce:
-    """A target below the reference's value: ``Reduce("drag", by=0.10)`` asks for 0.9 of it."""
+    """A target below the reference's value by a part of its size: ``Reduce("drag", by=0.10)`` asks for 0.9 of it."""
 
     name: str
     by: float
@@ -33,6 +33,10 @@ class Reduce:
     def maximised(self) -> bool:
         """Whether more is better."""
         return self.by < 0
+
+    def of(self, value: float) -> float:
+        """What is asked for where the reference has `value`: below it by a part of its size, whatever its sign."""
+        return value - self.by * abs(value)
 
     def written(self) -> dict[str, Any]:
         """As it stands in TOML."""

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
+from lampopt.bank import hashed
 from lampopt.check import Limits, alpha_checks, field_checks, mesh_checks
 from lampopt.decode import decode
-from lampopt.errors import EmptyMesh
+from lampopt.errors import EmptyMesh, InputError
+from lampopt.intake import intake
 from lampopt.metrics import surface_distance
 from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
@@ -144,3 +146,32 @@ class _Chosen(Sequence["Trimesh"]):
         if isinstance(index, slice):
             return _Chosen(self._meshes, self._rows[index])
         return self._meshes[self._rows[index]]
+
+
+def own(bank: Bank, exemplars: Exemplars, *, altered: bool = False) -> Exemplars:
+    """`exemplars` in the order of `bank`, mended as they were when it was built.
+
+    Raises
+    ------
+    InputError
+        If one is missing, or they have another unit, other parameters or, unless `altered`, other meshes than the bank
+        was built from.
+    """
+    what = "exemplars: expected those that the bank was built from"
+    if exemplars.unit != bank.frame.unit:
+        raise InputError(f"{what}, in {bank.frame.unit!r}, got {exemplars.unit!r}")
+    place = {name: i for i, name in enumerate(exemplars.names)}
+    if missing := [name for name in bank.names if name not in place]:
+        raise InputError(f"{what}, {', '.join(missing)} missing")
+    rows = [place[name] for name in bank.names]
+    quantities = [(q.name, q.unit) for q in exemplars.space]
+    if quantities != [(q.name, q.unit) for q in bank.space] or not np.array_equal(
+        exemplars.parameters[rows], bank.parameters
+    ):
+        raise InputError(f"{what}, got other parameters")
+    report = intake(chosen(exemplars, rows), accept="all", fellows=False, crossings=False)
+    report.refuse()
+    changed = {"added", "removed"} & set(bank.provenance)  # then the hash is not that of all meshes together
+    if not (altered or changed) and bank.provenance.get("meshes") not in (None, hashed(report.facts.hashes)):
+        raise InputError(f"{what}, got other meshes under their names")
+    return report.exemplars

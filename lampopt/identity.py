@@ -7,6 +7,7 @@ import json
 import pickle
 import sys
 import uuid
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -46,15 +47,23 @@ def whole(bank: Bank) -> str:
     )
 
 
-def told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> str | list[str]:
-    """What tells a measure from others: who offers it, with which options, and what it has learned."""
+def offered(kind: str, choice: str | Spec, plugins: Plugins) -> list[str]:
+    """What tells a plugin's object from others: who offers it, the file that defines it, with which options."""
+    spec = Spec.of(choice)
+    offer = plugins.get(kind, spec.name)
+    return [str(offer), source(offer.resolve()), repr(spec)]
+
+
+def told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> list[str]:
+    """What tells a measure from others: as `offered`, and what it has learned.
+
+    Of an `External` one the options that its values depend on.
+    """
     if not isinstance(choice, Spec):
         return given(choice)
-    who = str(plugins.get("measure", choice.name))
     if isinstance(measure, External):
-        return [who, repr(Spec(choice.name, **measure.depends_on()))]
-    more = [*([repr(choice)] if choice.options else []), *([learned(measure)] if isinstance(measure, State) else [])]
-    return [who, *more] if more else who
+        choice = Spec(choice.name, **measure.depends_on())
+    return [*offered("measure", choice, plugins), *([learned(measure)] if isinstance(measure, State) else [])]
 
 
 def learned(measure: Measure | Model) -> str:
@@ -65,23 +74,34 @@ def learned(measure: Measure | Model) -> str:
 
 
 def given(measure: Measure | Model) -> list[str]:
-    """A measure given as an object: its class, the file that defines it, with all that it may call there, its options.
+    """A measure given as an object: its class, the file that defines it, its options.
 
-    Of an `External` one those that its values depend on.
-
-    What cannot be read (typed at a prompt) or pickled may be anything: no recorded result is taken for its own.
+    Of an `External` one those that its values depend on. What cannot be pickled may be anything: no recorded result is
+    taken for its own.
     """
     cls = type(measure)
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
     try:
-        source = Path(file).read_bytes() if file else uuid.uuid4().bytes
         if isinstance(measure, External):
             options = repr(sorted(measure.depends_on().items())).encode()
         else:
             options = learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
     except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
-        source = options = uuid.uuid4().bytes
-    return [cls.__module__, cls.__qualname__, *(hashlib.blake2b(part).hexdigest() for part in (source, options))]
+        options = uuid.uuid4().bytes
+    return [cls.__module__, cls.__qualname__, source(cls), hashlib.blake2b(options).hexdigest()]
+
+
+@cache
+def source(cls: type) -> str:
+    """A hash of the file that defines a class, with all that it may call there: versions stay while it is written.
+
+    What cannot be read (typed at a prompt) may be anything: no recorded result is taken for its own.
+    """
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    try:
+        content = Path(file).read_bytes() if file else uuid.uuid4().bytes
+    except OSError:
+        content = uuid.uuid4().bytes
+    return hashlib.blake2b(content).hexdigest()
 
 
 def hashed(value: object) -> str:

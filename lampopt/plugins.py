@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
+from inspect import isroutine
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -249,6 +250,12 @@ def _register(
         problems.append(Fault(name, *owner, "has no hooks: mark its functions with @lampopt.hookimpl"))
         return
     owners[name] = owner
+    if unmarked := [hook for hook in vars(manager.hook) if _is_unmarked(getattr(plugin, hook, None))]:
+        problems.append(Fault(name, *owner, f"{', '.join(unmarked)}: not marked with @lampopt.hookimpl, so not heard"))
+
+
+def _is_unmarked(function: object) -> bool:
+    return isroutine(function) and not hasattr(function, "lampopt_impl")
 
 
 def _offers(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lampopt.chain import Chain
-from lampopt.errors import InputError, StudyError
+from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.measured import resolve_address
 from lampopt.protocols import Measure, Model
 from lampopt.reading import brief
@@ -218,11 +218,22 @@ def inputs_of(bank: Bank, name: str, model: Model) -> Array:
 
 
 def answered(name: str, model: Model, parameters: Array) -> Array:
-    """(B, p) what a model says at parameters (B, d). Raises StudyError where it refuses them."""
+    """(B, p) what a model says at parameters (B, d).
+
+    Raises
+    ------
+    StudyError
+        Where it refuses them.
+    PluginError
+        If it returns values of another shape.
+    """
     try:
-        return np.asarray(model(parameters), float)
+        values = np.asarray(model(parameters), float)
     except InputError as error:
         raise StudyError(f"model {name!r}: {error}") from error
+    if values.shape != (wanted := (len(parameters), len(model.names))):
+        raise PluginError(f"model {name!r}: expected values of shape {wanted}, got {values.shape}")
+    return values
 
 
 def _of_column(found: Column) -> Quantity:

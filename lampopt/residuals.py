@@ -10,6 +10,7 @@ import numpy as np
 from lampopt.bank import decoder_of
 from lampopt.decode import decode
 from lampopt.errors import InputError
+from lampopt.holdout import own
 from lampopt.metrics import sample_surface
 from lampopt.plugins import Plugins
 from lampopt.protocols import Progress
@@ -62,32 +63,28 @@ def residuals(
     Parameters
     ----------
     exemplars
-        What the bank was built from.
+        What the bank was built from, mended as they were then; or finer or altered meshes of the same.
     resolution
         Cells along the box, for decoders that have to extract a surface.
 
     Raises
     ------
     InputError
-        If an exemplar of the bank is not among `exemplars`, or they have another unit.
+        If an exemplar of the bank is not among `exemplars`, they are others in unit or parameters, or no meshes.
     EmptyMesh
         If an exemplar's weights have no surface.
     """
     if not isinstance(exemplars, Exemplars):
         raise InputError(f"exemplars: expected Exemplars, got {exemplars!r:.80}")
     resolution = whole(resolution, "resolution", 4, 4096)
-    if exemplars.unit != bank.frame.unit:
-        raise InputError(f"exemplars: expected the bank's, in {bank.frame.unit!r}, got {exemplars.unit!r}")
-    place = {name: i for i, name in enumerate(exemplars.names)}
-    if missing := [name for name in bank.names if name not in place]:
-        raise InputError(f"exemplars: expected those that the bank was built from, {', '.join(missing)} missing")
+    exemplars = own(bank, exemplars, altered=True)
     decoder = decoder_of(bank, plugins or Plugins.load().report())
     found = []
     for number, name in enumerate(bank.names):
         if progress:
             progress(number / len(bank), name)
         made = decode(bank, decoder, np.asarray(bank.weights[number]), resolution=resolution)
-        found.append(_residual(name, made, exemplars.meshes[place[name]]))
+        found.append(_residual(name, made, exemplars.meshes[number]))
     if progress:
         progress(1.0, f"{len(bank)} exemplars")
     return tuple(found)

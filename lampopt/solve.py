@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
@@ -168,6 +169,8 @@ def pose(
     for low, high in ends:
         if not low <= high:
             raise StudyError(f"ranges: expected low ≤ high, got {low:g} to {high:g}")
+        if low == inf or high == -inf:
+            raise StudyError(f"ranges: expected a range with numbers in it, got {low:g} to {high:g}")
     asked = {c.name for c in (*rows, *limits)} | {*moved}
     asked |= {parameter for parameter, address in bank.measured_by.items() if address in asked}
     parameters = [names[q.name] for q in bank.space if names[q.name].spread > 0]

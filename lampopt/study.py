@@ -16,6 +16,8 @@ from typing import Any, cast
 from lampopt.choices import (
     Value,
     beside,
+    beside_address,
+    checks_of,
     is_value,
     measures_of,
     models_of,
@@ -25,6 +27,7 @@ from lampopt.choices import (
     table_of,
     value_list,
     value_pair,
+    written_checks,
     written_measures,
     written_models,
 )
@@ -89,11 +92,11 @@ class Study:
         Measures to report beside the checks: their names, or a table of name → Spec or measure object. The values come
         as `name.value`.
     checks
-        Checks by plugins, by name.
+        Checks by plugins: names, or Specs where they have options.
     limits
         Limits that replace the bank's and the defaults.
     level
-        Where to stop: judge by "alpha", by "field" or by "mesh".
+        Where to stop: judge by "alpha", by "field" or by "mesh"; what needs more is not asked, plugins' checks neither.
     resolution
         Cells along the decoder's box.
     sweep
@@ -126,7 +129,7 @@ class Study:
     turns: int = 0
     solver: str | Spec = "kkt"
     measures: Sequence[str] | Mapping[str, str | Spec | Measure] = ()
-    checks: tuple[str, ...] = ()
+    checks: Sequence[str | Spec] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     level: Needs = "mesh"
     resolution: int = 128
@@ -143,8 +146,9 @@ class Study:
             raise StudyError(f"solver: expected a name or a Spec, got {said(self.solver)}")
         if not isinstance(self.objective, Objective | None):
             raise StudyError(f"objective: expected Reduce, Minimise or Maximise(name, ...), got {said(self.objective)}")
-        for name in ("keep", "hard", "safe", "checks", "requires"):
+        for name in ("keep", "hard", "safe", "requires"):
             _assign(self, name, names_of(getattr(self, name), name))
+        _assign(self, "checks", checks_of(self.checks))
         _assign(self, "measures", measures_of(self.measures))
         if not isinstance(self.reference, str | None):
             raise StudyError(f"reference: expected the name of an exemplar, got {said(self.reference)}")
@@ -209,7 +213,7 @@ class Study:
             wanted[name] = known.at(name, self.reference, self._address(name))
         if isinstance(self.objective, Reduce):
             name = self.objective.name
-            wanted[name] = (1 - self.objective.by) * known.at(name, self.reference, self._address(name))
+            wanted[name] = self.objective.of(known.at(name, self.reference, self._address(name)))
         return wanted
 
     def _address(self, name: str) -> str | None:
@@ -263,12 +267,16 @@ class Study:
                 document[item.name] = {name: one.written() for name, one in value.items()}
             elif item.name == "models":
                 document[item.name] = written_models(value)
+            elif item.name == "measured":
+                document[item.name] = {name: beside_address(address, Path.cwd()) for name, address in value.items()}
             elif isinstance(value, Spec):
                 document[item.name] = {"name": value.name, **value.options}
             elif isinstance(value, Experiments):
                 document[item.name] = value.written()
             elif item.name == "measures":
                 document[item.name] = written_measures(value)
+            elif item.name == "checks":
+                document[item.name] = written_checks(value)
             elif isinstance(value, Mapping):
                 document[item.name] = {k: list(v) if isinstance(v, tuple) else native(v) for k, v in value.items()}
             else:
@@ -315,6 +323,8 @@ class Study:
                 name: beside(spec_of(value, f"measures: {name}"), folder) if isinstance(value, dict) else value
                 for name, value in measures.items()
             }
+        if isinstance(measured := document.get("measured"), dict):
+            document["measured"] = {name: beside_address(address, folder) for name, address in measured.items()}
         if isinstance(models := document.get("models"), dict):
             document["models"] = {
                 name: str((folder or Path()) / file) if isinstance(file, str) and not file.startswith("<") else file

@@ -23,7 +23,7 @@ from lampopt.errors import MeasureError, PluginError, StudyError
 from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
 from lampopt.goals import Minimise, Reduce
-from lampopt.identity import contents, given, hashed, learned, told
+from lampopt.identity import contents, given, hashed, learned, offered, told
 from lampopt.measured import resolve_address
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
@@ -69,10 +69,7 @@ class Task:
         _require(study, plugins)
         bank = study.opened()
         solver: Solver = plugins.make("solver", study.solver)
-        checkers: dict[str, Checker] = {name: plugins.make("check", name) for name in study.checks}
-        for name, made in checkers.items():
-            if made.needs not in LEVELS:
-                raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
+        checkers = {Spec.of(choice).name: _checker(choice, plugins) for choice in study.checks}
         measures = {name: _measure(name, choice, plugins) for name, choice in study.to_be_measured().items()}
         models = {name: _model(name, choice, plugins) for name, choice in study.models.items()}
         limits = Limits.of(bank, study.limits, study.measured)
@@ -175,8 +172,9 @@ class Task:
                     with _unaltered(made.mesh, f"measure {name!r}"):
                         checks += measure_checks(self.bank, made.mesh, {name: measure})
             for name, checker in self.checkers.items():
-                with _unaltered(made.__dict__.get("mesh"), f"check {name!r}"):
-                    checks += stranger_checks(self.bank, made, {name: checker}, level)
+                seen = made if level == "mesh" else replace(made)  # what looks at a mesh unsaid spoils one of its own
+                with _unaltered(vars(seen).get("mesh"), f"check {name!r}"):
+                    checks += stranger_checks(self.bank, seen, {name: checker}, level)
         found = self.result(made, checks)
         if turned is None:
             return found
@@ -202,16 +200,13 @@ class Task:
         """A hash of all but the target that a result depends on."""
         study = self.study
         drift = self.bank.measured_by.values() if study.level == "mesh" else ()
-
-        def offer(kind: str, name: str) -> str:
-            return str(self.plugins.get(kind, name))
-
         return hashed(
             {
                 "versions": {name: said for name, said in self.provenance.items() if not name.startswith(PROGRAM)},
                 **contents(self.bank),
                 "limits": [dict(study.limits), dict(self.bank.limits)],
-                "solver": repr(study.solver),
+                "solver": offered("solver", study.solver, self.plugins),
+                "decoder": offered("decoder", self.bank.decoder, self.plugins),
                 "reference": study.reference,
                 "ranges": study.bounds(self.wishes.quantities),
                 "hard": study.hard,
@@ -221,7 +216,7 @@ class Task:
                     for name, choice in study.to_be_measured().items()
                 },
                 "drift": {address: self._drift(address) for address in drift},
-                "checks": {name: offer("check", name) for name in study.checks},
+                "checks": [offered("check", choice, self.plugins) for choice in study.checks],
                 "format": study.format,
                 "level": study.level,
                 "resolution": study.resolution,
@@ -260,21 +255,21 @@ class Task:
         objective = [self.study.objective.name] if self.study.objective is not None else []
         return [*self.study.names, *self.study.ranges, *objective]
 
-    def _who(self, name: str) -> str | list[str]:
+    def _who(self, name: str) -> list[str]:
         """What tells the measure behind a measured value from others."""
         quantity = self.wishes.quantities
         found = quantity.measured(name) if ":" in name or name in self.bank.measured_by.values() else quantity[name]
         if found.measure is None:
-            return "the bank"
+            return ["the bank"]
         key, measure, _ = found.measure
         if key in self.measures:
             return told(self.study.to_be_measured()[key], measure, self.plugins)
-        return learned(measure) if ":" in name else str(self.plugins.get("measure", key))
+        return [learned(measure)] if ":" in name else offered("measure", key, self.plugins)
 
-    def _drift(self, address: str) -> str:
+    def _drift(self, address: str) -> list[str]:
         """What tells the measure behind `address` from others."""
         name, measure, _ = resolve_address(address, self.plugins)
-        return learned(measure) if ":" in address else str(self.plugins.get("measure", name))
+        return [learned(measure)] if ":" in address else offered("measure", name, self.plugins)
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
@@ -294,12 +289,21 @@ class Task:
             **{f"{PROGRAM}{name}": what for name, made in self._measuring.items() if (what := _program(made))},
         }
 
+    def search(self, key: str) -> str:
+        """Under what the search for the design `key` notes its evaluations: by other programs they are others."""
+        return hashed([key, self._programs]) if self._programs else key
+
+    @property
+    def _programs(self) -> dict[str, Scalar]:
+        """Names and versions of the programs that measure from outside, those that are there."""
+        return {name: what for name, what in self.provenance.items() if name.startswith(PROGRAM)}
+
     def outdated(self, result: Result) -> str:
         """Why a recorded result is not this task's any more: another version of a program; "" where it is.
 
         A program that is not there now is needed for what is not recorded only.
         """
-        now = {name: what for name, what in self.provenance.items() if name.startswith(PROGRAM)}
+        now = self._programs
         other = [name for name, what in now.items() if result.provenance.get(name, what) != what]
         return "; ".join(f"{name}: was {result.provenance[name]}, is {now[name]}" for name in other)
 
@@ -327,6 +331,14 @@ def _program(measure: Measure) -> str:
         return measure.program() if isinstance(measure, External) else ""
     except MeasureError:
         return ""
+
+
+def _checker(choice: str | Spec, plugins: Plugins) -> Checker:
+    made: Checker = plugins.make("check", choice)
+    name = Spec.of(choice).name
+    if made.needs not in LEVELS:
+        raise PluginError(f"check {name!r}: expected needs as one of {', '.join(LEVELS)}, got {made.needs!r}")
+    return made
 
 
 def _measure(name: str, choice: Spec | Measure, plugins: Plugins) -> Measure:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lampopt.chain import Chain
+from lampopt.errors import PluginError
 from lampopt.protocols import Measure, Model, Symbolic
 from lampopt.types import Array, Expressible, Term, rough
 
@@ -64,8 +65,10 @@ class ModelValue:
     def __call__(self, alpha: Array) -> tuple[float, Array]:
         """Value and gradient."""
         at = (alpha @ self.parameters)[None]
-        by = np.asarray(self.model.gradient(at), float)[0, self.place]
-        return float(np.asarray(self.model(at))[0, self.place]), self.parameters @ by
+        by = np.asarray(self.model.gradient(at), float)
+        if by.shape != (wanted := (1, len(self.model.names), len(self.model.inputs))):
+            raise PluginError(f"model {self.name!r}: gradient: expected shape {wanted}, got {by.shape}")
+        return float(np.asarray(self.model(at))[0, self.place]), self.parameters @ by[0, self.place]
 
 
 @dataclass(frozen=True, eq=False)

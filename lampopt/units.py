@@ -12,6 +12,7 @@ _NAME = r"°?[^\W\d_⁰¹²³⁴-⁹](?:[^\W\d⁰¹²³⁴-⁹]|[0-9])*"
 _POWER = r"(?:(?:\*\*|\^)-?[0-9]|[²³])?"
 _PLAIN = re.compile(rf"|[%°]|(?:1\s*/\s*)?{_NAME}{_POWER}(?:(?:\s*[*/]\s*|\s+){_NAME}{_POWER})*")
 _POWERS_IN_WORDS = re.compile(r"\s(?:squared|cubed)|(?:cubic|square|sq)\s")
+ANGLES = ("deg", "degree", "degrees", "°", "rad", "radian", "radians", "mrad")
 _LONGEST = 60  # characters of a unit
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
@@ -49,7 +50,10 @@ def _converted(value: float, unit: str, to: str, what: str) -> float:
 
     registry = pint.get_application_registry()
     try:
-        return float(registry.Quantity(value, unit or "dimensionless").to(to or "dimensionless").magnitude)
+        given = registry.Quantity(value, unit or "dimensionless").to(to or "dimensionless")
+        if (unit in ANGLES) != (to in ANGLES):  # to pint, an angle is a number
+            raise pint.DimensionalityError(unit or "dimensionless", to or "dimensionless")
+        return float(given.magnitude)
     except Exception as error:  # pint's parser raises whatever Python's tokenizer does
         why = str(error) if isinstance(error, pint.DimensionalityError) else repr(error)
         raise InputError(f"{what}: cannot bring [{_named(unit)}] to [{_named(to)}]: {why}") from error

@@ -24,7 +24,7 @@ from lampopt.safeguards import safeguard
 from lampopt.solve import Column, Posed, columns, pose
 from lampopt.study import Study
 from lampopt.terms import MeasuredValue, Remembered, Row, model_value, shaped
-from lampopt.types import Array, Bank, Check, Needs, Term
+from lampopt.types import ROUNDING, Array, Bank, Check, Needs, Term
 
 SPREAD = 0.2  # range of a measured value that no exemplar tells, in parts of its value at the start
 
@@ -143,7 +143,7 @@ class Wishes:
             values.append(factor * quantity.column.values)
         units = {self.quantities[part].unit for part in given.of}
         found = Column(name, units.pop() if len(units) == 1 else "", np.sum(values, 0))
-        if found.spread == 0:
+        if found.spread <= ROUNDING * np.nanmax(np.abs(values).sum(0), initial=0.0):
             raise StudyError(f"linear: {name}: all exemplars have {found.low:g}: no mix can change it")
         return found, given.low, given.high
 

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 
+import casadi
 import numpy as np
 from broken import BROKEN, breaks, noise
 from toys import Boxes, Drag, Learned, Linear, Nothing, Roughly, Size, Volume
@@ -11,6 +13,7 @@ from lampopt.errors import MeasureError
 from lampopt.types import Check
 
 __all__ = ["BROKEN"]
+TURN = cycle([True, False])
 
 
 # measures
@@ -109,6 +112,13 @@ class NarrowerWhenSurer(Size):
         return super().interval(mesh, 1 - level)
 
 
+@breaks("check_mesh_is_left")
+class AsksWithANudge(Size):
+    def outside(self, mesh):
+        mesh.vertices = mesh.vertices + 1e-9
+        return False
+
+
 # surrogates, and what they learn
 
 
@@ -126,6 +136,37 @@ class VertexReader(Learned):
 
 
 BROKEN.append(("measure", HalfRemembered(np.eye(4, 1), ("length",), ("L",)), "check_state_gives_it_again"))
+
+
+@dataclass(frozen=True, eq=False)
+class KeepsItself(Learned):
+    def state(self):
+        return {"names": np.array(self.names)}
+
+    @classmethod
+    def from_state(cls, state):
+        return cls(np.eye(4, 1), ("length",), ("L",))
+
+
+BROKEN.append(("measure", KeepsItself(np.eye(4, 1), ("length",), ("L",)), "check_state_gives_it_again"))
+
+
+@dataclass(frozen=True, eq=False)
+class ForgetsItsDoubt(Learned):
+    doubt: float = 0.1
+
+    def interval(self, mesh, level):
+        return self(mesh)[:, None] + self.doubt * level * np.array([-1, 1])
+
+    def outside(self, mesh):
+        return False
+
+    @classmethod
+    def from_state(cls, state):
+        return replace(super().from_state(state), doubt=0.0)
+
+
+BROKEN.append(("measure", ForgetsItsDoubt(np.eye(4, 1), ("length",), ("L",)), "check_state_gives_it_again"))
 
 
 class Learns(Linear):
@@ -234,6 +275,44 @@ class OutsideAsOne(Roughly):
         return bool(super().outside(parameters).any())
 
 
+@breaks("check_model_interval_holds_the_value")
+class DoubtsTogether(Roughly):
+    def interval(self, parameters, level):
+        return super().interval(parameters, level) * [1 - 1e-3 * len(parameters), 1 + 1e-3 * len(parameters)]
+
+
+@breaks("check_model_rows_are_independent")
+class FallsAlone(Drag):
+    def gradient(self, parameters):
+        return super().gradient(parameters) * (1 if len(parameters) != 1 else -1)
+
+
+@breaks("check_model_rows_are_independent")
+class SqueezesOne(Drag):
+    def gradient(self, parameters):
+        return np.squeeze(super().gradient(parameters))
+
+
+@breaks("check_model_expression_is_the_model")
+class OppositeInSymbols(Drag):
+    def symbolic(self, parameters):
+        speed, area = parameters[0], parameters[1]
+        return -casadi.vertcat(self.factor * area * speed**2, area - speed)
+
+
+@breaks("check_model_expression_is_the_model")
+class OneLabelInSymbols(Drag):
+    def symbolic(self, parameters):
+        return self.factor * parameters[1] * parameters[0] ** 2
+
+
+@breaks("check_model_parameters_are_left")
+class ClipsToAsk(Roughly):
+    def outside(self, parameters):
+        parameters.clip(0.6, 1.4, out=parameters)
+        return super().outside(parameters)
+
+
 # regressions, and what they learn
 
 
@@ -335,6 +414,25 @@ class GapsAreTheNeighbours(Squares):
         return super().fit(parameters, filled, **named)
 
 
+@breaks_regression("check_unlabelled_rows_do_not_count")
+class CompleteRowsOnly(Squares):
+    def fit(self, parameters, labels, **named):
+        whole = np.isfinite(labels).all(axis=1)
+        far = parameters[whole] + (0 if whole.all() else np.array([0.1, 0, 0]))
+        return super().fit(far, labels[whole], **named)
+
+
+@breaks_regression("check_one_label_is_learned_alike")
+class FlattensOne(Regresses):
+    def spoil(self, fitted):
+        return Flattened(**vars(fitted)) if len(fitted.names) == 1 else fitted
+
+
+class Flattened(Quadric):
+    def __call__(self, parameters):
+        return super().__call__(parameters)[:, 0]
+
+
 class RowsMeet(Quadric):
     def __call__(self, parameters):
         return super().__call__(parameters) + 1e-6 * len(parameters)
@@ -407,6 +505,63 @@ class Nowhere(Anywhere):
 class TrustsItselfNowhere(Regresses):
     def spoil(self, fitted):
         return Nowhere(fitted.matrix, fitted.names, fitted.units, fitted.inputs)
+
+
+class Opposite(Quadric):
+    def symbolic(self, parameters):
+        given = casadi.vertcat(1, parameters, parameters**2)
+        return -casadi.mtimes(casadi.DM(self.matrix.T), given)
+
+
+@breaks_regression("check_learned_expression_is_the_model")
+class LearnsTheOpposite(Regresses):
+    def spoil(self, fitted):
+        return Opposite(**vars(fitted))
+
+
+class OneSided(Anywhere):
+    def outside(self, parameters):
+        return (np.asarray(parameters) > [2, 30, 3]).any(axis=1)
+
+
+@breaks_regression("check_far_from_the_rows_is_outside")
+class LooksUpOnly(Regresses):
+    def spoil(self, fitted):
+        return OneSided(**vars(fitted))
+
+
+class Certain(Vain):
+    doubt = 1.0
+
+    def interval(self, parameters, level):
+        values = self(parameters)
+        return np.stack([values - self.doubt * level, values + self.doubt * level], axis=2)
+
+    @classmethod
+    def from_state(cls, state):
+        return Sure(**vars(super().from_state(state)))
+
+
+class Sure(Certain):
+    doubt = 0.0
+
+
+@breaks_regression("check_learned_model_is_kept")
+class GrowsSureInTheFile(Regresses):
+    def spoil(self, fitted):
+        return Certain(**vars(fitted))
+
+
+class Nest:
+    @dataclass(frozen=True, eq=False)
+    class Fitted(Quadric):
+        pass
+
+
+@breaks_regression("check_learned_model_is_kept")
+class LearnsInANest(Regresses):
+    def spoil(self, fitted):
+        return Nest.Fitted(**vars(fitted))
 
 
 class HalfKept(Quadric):
@@ -518,6 +673,18 @@ class OneNameForTwo(Yields):
 
 
 @breaks("check_source_mesh_at_is_the_exemplar")
+class RoundsWhatItIsAsked(Yields):
+    def spoil(self, found):
+        return replace(found, mesh_at=lambda row: self.mesh_at(row.round(3, out=row)))
+
+
+@breaks("check_source_repeats_itself")
+class MeasuredNowAndThen(Yields):
+    def spoil(self, found):
+        return replace(found, measured={"length": "extents.length"} if next(TURN) else {})
+
+
+@breaks("check_source_mesh_at_is_the_exemplar")
 class TruthIsLarger(Yields):
     def spoil(self, found):
         return replace(found, mesh_at=lambda row: self.mesh_at(1.1 * row))
@@ -537,6 +704,12 @@ class Says(Nothing):
 class SaysYes(Says):
     def __call__(self, bank, design):
         return [True]
+
+
+@breaks("check_checks_are_told")
+class TakesAName(Says):
+    def __call__(self, bank, design):
+        return [replace(check, name="watertight") for check in super().__call__(bank, design)]
 
 
 @breaks("check_checks_are_told")

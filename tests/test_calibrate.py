@@ -155,6 +155,15 @@ def test_without_a_bad_design_nothing_is_learned_and_that_is_said(boxes, caplog)
     assert "no held-out design is off by more than 0.003 m" in caplog.text
 
 
+def test_rounding_tells_nothing():
+    """A mismatch of 1e-8 that is the larger, the worse the design, is no limit: exemplars themselves have as much."""
+    values = np.array([[1e-9], [2e-9], [4e-9], [8e-9]])
+    found = Calibration(0.003, ("mismatch",), values, np.array([0.001, 0.002, 0.004, 0.008]), np.arange(4))
+    assert limits_from(found, Limits.of(small.bank(), {})) == {"mismatch": 2 * DEFAULTS["mismatch"]}
+    found = replace(found, values=values * 1e4)
+    assert limits_from(found, Limits.of(small.bank(), {}))["mismatch"] == pytest.approx(np.sqrt(2e-5 * 4e-5))
+
+
 def test_one_parameter_at_a_time():
     """Two exemplars a parameter: held out together they could not be asked for, so each is held out alone."""
     low, high, middle = np.array([1.0, 0.5]), np.array([3.0, 1.5]), np.array([2.0, 1.0])

@@ -36,7 +36,15 @@ def bank(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", "docs/quickstart.md", "docs/exploring.md", "docs/fronts.md", "docs/wishes.md"]
+    "page",
+    [
+        "README.md",
+        "docs/quickstart.md",
+        "docs/exploring.md",
+        "docs/fronts.md",
+        "docs/wishes.md",
+        "docs/writing-others.md",
+    ],
 )
 def test_programs_run(page, bank, tmp_path):
     shutil.copy(bank, tmp_path / "plates.lamp")

@@ -186,6 +186,8 @@ class Elsewhere:
         if self.kind == "foreign":
             inner = importlib.import_module("lampopt_measure.calibrated").Calibrated()
             return inner.fit(meshes, values, names, units, seed=seed)
+        if self.kind == "nested":
+            return Nest.Kept(tuple(names), tuple(units))
         return Stateless(tuple(names) if self.kind == "stateless" else ("other",), tuple(units))
 
 
@@ -196,6 +198,16 @@ class Stateless:
 
     def __call__(self, mesh):
         return np.array([mesh.extents[0]])
+
+
+class Nest:
+    class Kept(Stateless):
+        def state(self):
+            return {"nothing": np.zeros(1)}
+
+        @classmethod
+        def from_state(cls, state):
+            return cls(("change",), ("",))
 
 
 class Offering:
@@ -212,6 +224,7 @@ PLUGINS = Plugins.load(extra=[("offering", Offering())])
     [
         ("foreign", "expected a class of its own package"),
         ("stateless", "has no state"),
+        ("nested", r"fits a .*:Nest\.Kept, expected a class of its module's own"),
         ("misnamed", r"expected what tells \('change',\)"),
     ],
 )

@@ -355,29 +355,31 @@ class Broken:
     """Meshes of which some cannot be loaded."""
 
     def __len__(self):
-        return 5
+        return 6
 
     def __getitem__(self, index):
         odd = {1: InputError("mesh b.stl: cannot be read: nonsense"), 2: "c.stl", 3: trimesh.Trimesh()}
+        odd[5] = ZeroDivisionError("by width")
         if isinstance(odd.get(index), Exception):
             raise odd[index]
         return odd.get(index, shapes.box())
 
 
 def test_all_that_cannot_be_used_is_refused_in_one_message():
-    given = Exemplars(np.zeros((5, 1)), (Parameter("x"),), Broken(), tuple("abcde"))
+    given = Exemplars(np.zeros((6, 1)), (Parameter("x"),), Broken(), tuple("abcdef"))
     report = lampopt.intake(given)
-    assert [(f.exemplar, f.severity) for f in report.problems] == [(name, "refused") for name in "bcd"]
+    assert [(f.exemplar, f.severity) for f in report.problems] == [(name, "refused") for name in "bcdf"]
     assert [h.name for h in report.health] == ["a", "e"]
     assert report.exemplars.names == ("a", "e")
     with pytest.raises(InputError) as caught:
         small.bank(given)
     message = str(caught.value)
-    assert message.startswith("3 exemplars of 5 cannot be used:\n")
+    assert message.startswith("4 exemplars of 6 cannot be used:\n")
     for part in (
         "'b': mesh b.stl: cannot be read: nonsense",
         "'c': expected a trimesh.Trimesh",
         "'d': expected a mesh",
+        "'f': cannot be loaded: ZeroDivisionError('by width')",
     ):
         assert part in message
     assert "'a'" not in message

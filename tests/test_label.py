@@ -127,6 +127,27 @@ def test_a_run_folder_does_not_mix_versions_of_a_program(tmp_path, monkeypatch, 
     assert len([*lampopt.results(tmp_path, every=True, plugins=small.plugins())]) == 2
 
 
+def test_a_search_does_not_mix_versions_of_a_program(tmp_path, monkeypatch):
+    """What an older one found better than the newer ever can is not where the search stays."""
+    study = lampopt.Study(
+        small.bank(), reference="box_0", objective=lampopt.Minimise("flow.drag"), measures={"flow": Solver()},
+        solver="nlopt", alpha=(-0.2, 1.2),
+    )  # fmt: skip
+
+    def found(folder):
+        return lampopt.run(study, tmp_path / folder, report=False, plugins=PLUGINS)
+
+    monkeypatch.setattr(Solver, "version", "3")
+    found("kept")
+    monkeypatch.setattr(Solver, "version", "1")
+    CALLS.clear()
+    whole, asked = found("fresh"), len(CALLS)
+    CALLS.clear()
+    again = found("kept")
+    assert asked == len(CALLS) > 1
+    np.testing.assert_array_equal(again.design.mix.alpha, whole.design.mix.alpha)
+
+
 def test_a_label_of_that_name_is_replaced():
     bank = small.bank()
     made = lampopt.label(bank, Air(), ["drag"], plugins=small.plugins())

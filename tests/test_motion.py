@@ -202,7 +202,18 @@ def test_residuals_see_a_dent_and_where_it_is(bank, exemplars):
     assert np.linalg.norm(found.where - bumped.vertices[top]) < 0.2
 
 
+def test_residuals_are_of_what_was_mended(bank, exemplars):
+    """A mesh that is inside out was turned when the bank was built."""
+    meshes = [mesh.copy() for mesh in exemplars.meshes]
+    meshes[1].invert()
+    given = Exemplars(DESIGNS, exemplars.space, meshes, exemplars.names, unit="m")
+    found, straight = lampopt.residuals(bank, given)[1], lampopt.residuals(bank, exemplars)[1]
+    assert (found.flipped, found.worst) == (0, straight.worst)
+
+
 def test_residuals_refuse_other_exemplars(bank, exemplars):
+    with pytest.raises(InputError, match="got other parameters"):
+        lampopt.residuals(bank, Exemplars(DESIGNS + 0.1, exemplars.space, exemplars.meshes, exemplars.names, unit="m"))
     others = Exemplars(DESIGNS, exemplars.space, exemplars.meshes, tuple("abcde"), unit="m")
     with pytest.raises(InputError, match="e0"):
         lampopt.residuals(bank, others)

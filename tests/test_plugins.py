@@ -3,16 +3,18 @@
 Whatever one does wrong is reported with its name, version and cause, and the others work.
 """
 
+import importlib
 import itertools
 import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import lampopt
-from lampopt.errors import PluginError
+from lampopt.errors import MeasureError, PluginError
 from lampopt.plugins import BLOCK, KINDS, Plugins, known_options
 from lampopt.types import Spec
 
@@ -124,6 +126,15 @@ def test_a_study_runs_while_strangers_fail_and_each_is_named(install, tmp_path, 
 def said_of(distribution, said):
     """The module that pluggy names, which has another name at every run."""
     return next(line for line in said if distribution in line).rpartition(" in plugin ")[2]
+
+
+def test_a_hook_without_the_mark_is_told(install):
+    install("lampopt-half", GOOD + "\n\ndef lampopt_sources():\n    return {}\n\nlampopt_models = 3\n")
+    plugins = Plugins.load()
+    assert problems(plugins) == {
+        "half": "plugin 'half' (lampopt-half 1.2.3): lampopt_sources: not marked with @lampopt.hookimpl, so not heard"
+    }
+    assert plugins.make("solver", "good-solver")
 
 
 def test_blocking_one_twin_frees_the_name(install, monkeypatch):
@@ -443,10 +454,11 @@ class Slim:
 
     name: str = "slim"
     needs: str = "mesh"
+    most: float = 2.0
 
     def __call__(self, bank, design):
         length, width, _ = design.mesh.extents
-        return [lampopt.Check(self.name, length / width, "<=", 2.0, "", self.needs)]
+        return [lampopt.Check(self.name, length / width, "<=", self.most, "", self.needs)]
 
 
 @dataclass(frozen=True)
@@ -468,10 +480,34 @@ class Shadow(Slim):
     name: str = "alpha"
 
 
+@dataclass(frozen=True)
+class Mover(Slim):
+    """Says that it looks at alpha, and moves the mesh."""
+
+    def __call__(self, bank, design):
+        design.mesh.vertices += [0.1, 0, 0]
+        return [lampopt.Check("mover", 1.0, "info", None, "", "alpha")]
+
+    needs: str = "alpha"
+
+
+@dataclass(frozen=True)
+class Lost(Slim):
+    """Cannot judge long shapes."""
+
+    error: str = "measure"
+
+    def __call__(self, bank, design):
+        if design.mesh.extents[0] > 2.2:
+            raise MeasureError("too long for the gauge") if self.error == "measure" else ZeroDivisionError("by width")
+        return [lampopt.Check("lost", 1.0, "<=", 2.0, "", "mesh")]
+
+
 class Checks:
     @lampopt.hookimpl
     def lampopt_checks(self):
-        return {"slim": Slim, "early": Early, "wrong": Wrong, "shadow": Shadow, "none": Options, "solid": object}
+        found = {"slim": Slim, "early": Early, "wrong": Wrong, "shadow": Shadow, "none": Options, "solid": object}
+        return found | {"mover": Mover, "lost": Lost}
 
 
 @pytest.fixture(scope="module")
@@ -498,6 +534,76 @@ def test_a_strangers_check_joins_the_others(bank):
 def test_a_strangers_check_waits_for_its_level(bank):
     names = [check.name for check in judged(bank, "slim", "early", level="alpha").checks]
     assert names == ["solved", "target", "alpha", "early"]
+
+
+def test_a_strangers_check_takes_options(bank):
+    assert not judged(bank, "slim").check("slim").passed
+    assert judged(bank, Spec("slim", most=2.5)).check("slim").passed
+    with pytest.raises(PluginError, match=r"check 'slim': unknown option 'least'; known are: name: str, needs"):
+        judged(bank, Spec("slim", least=2.5))
+
+
+def test_a_check_that_cannot_judge_fails_with_its_reason(bank, tmp_path):
+    study = lampopt.Study(bank, {"width": 1.1}, checks=["lost"])
+    plugins = small.plugins(("checks", Checks()))
+    short, long_ = lampopt.sweep(study, {"length": [2.1, 2.5]}, tmp_path, plugins=plugins)
+    assert short.accepted and not long_.accepted
+    lost = long_.check("lost")
+    assert np.isnan(lost.value) and lost.note == "cannot judge: too long for the gauge"
+    with pytest.raises(PluginError, match=r"check 'lost': raised ZeroDivisionError\('by width'\)"):
+        judged(bank, Spec("lost", error="other"))
+
+
+def test_what_a_check_does_to_a_mesh_unsaid_is_done_to_one_of_its_own(bank):
+    still, moved = judged(bank).design.mesh, judged(bank, "mover").design.mesh
+    np.testing.assert_array_equal(still.vertices, moved.vertices)
+
+
+CODE = """
+from dataclasses import dataclass
+import lampopt
+
+@dataclass(frozen=True)
+class Judge:
+    needs = "alpha"
+
+    def __call__(self, bank, design):
+        return [lampopt.Check("judge", 1.0, "<=", LIMIT, "", "alpha")]
+"""
+
+
+def test_a_check_that_was_edited_judges_anew(bank, tmp_path, monkeypatch):
+    """Versions stay while a plugin is written."""
+    monkeypatch.syspath_prepend(tmp_path)
+    study = lampopt.Study(bank, {"length": 2.5}, checks=["judge"], level="alpha")
+
+    def passed(limit):
+        (tmp_path / "a_judge.py").write_text(CODE.replace("LIMIT", limit), encoding="utf-8")
+        sys.modules.pop("a_judge", None)
+        importlib.invalidate_caches()
+
+        class Mine:
+            @lampopt.hookimpl
+            def lampopt_checks(self):
+                return {"judge": "a_judge:Judge"}
+
+        made = lampopt.run(study, tmp_path / "run", report=False, plugins=small.plugins(("mine", Mine())))
+        return made.check("judge").passed
+
+    assert passed("2.000")
+    assert not passed("0.5")
+    assert passed("2.000")
+    assert rows(tmp_path / "run") == 2
+
+
+def test_another_measure_under_the_same_name_measures_anew(bank, tmp_path):
+    def values(choice):
+        study = lampopt.Study(bank, {"length": 2.5}, measures={"it": choice})
+        made = lampopt.run(study, tmp_path, report=False, plugins=small.plugins())
+        return [check.name for check in made.checks if check.name.startswith("it.")]
+
+    assert values("volume") == ["it.volume"]
+    assert values("area") == ["it.area"]
 
 
 def test_a_check_that_needs_a_mesh_is_not_asked_where_there_is_none(bank):

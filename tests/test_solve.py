@@ -113,6 +113,21 @@ def test_ranges_are_normalised_rows_of_their_own():
         pose(bank(), {}, ranges={"length": (3.0, 2.0)})
     with pytest.raises(StudyError, match="expected low ≤ high"):
         pose(bank(), {}, ranges={"length": (np.nan, 2.0)})
+    for end in (-np.inf, np.inf):
+        with pytest.raises(StudyError, match="expected a range with numbers in it"):
+            pose(bank(), {}, ranges={"length": (end, end)})
+
+
+def test_what_differs_by_rounding_does_not_differ():
+    """0.1 + 0.2 is not 0.3, and no direction for a mix to go."""
+    noisy = np.array([0.3, 0.1 + 0.2] * 3)
+    given, even = (bank(parameters=np.column_stack([LENGTH, WIDTH, column])) for column in (noisy, np.full(6, 0.3)))
+    np.testing.assert_array_equal(given.parameters, even.parameters)
+    assert Parameter("wheels", "", 0.3, 0.1 + 0.2).spread == 0
+    with pytest.raises(StudyError, match=r"'wheels': all exemplars have 0\.3: no mix can change it"):
+        column(given, "wheels")
+    labelled = bank(labels=np.column_stack([DRAG, np.full(6, np.nan), noisy]))
+    assert columns(labelled)["mass"].spread == 0
 
 
 def test_exemplars_without_the_label_take_no_part():

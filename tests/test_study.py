@@ -63,7 +63,7 @@ def studies(draw):
         objective=objective,
         solver=draw(st.one_of(text, st.builds(lambda n, o: Spec(n, **o), text, options))),
         measures=draw(names),
-        checks=draw(names),
+        checks=draw(names) + draw(st.just(()) | st.builds(lambda o: (Spec("with options", **o),), options)),
         limits=draw(st.dictionaries(text, st.floats(0, 1e9), max_size=2)),
         level=draw(st.sampled_from(["alpha", "field", "mesh"])),
         resolution=draw(st.integers(4, 4096)),
@@ -231,6 +231,39 @@ def test_a_study_that_contradicts_itself_is_refused(fields, message):
 def test_reduce_by_a_fraction_below_1(by):
     with pytest.raises(StudyError, match=r"Reduce\('drag'\): expected `by` as a fraction below 1, such as 0.10"):
         Reduce("drag", by=by)
+
+
+@pytest.mark.parametrize(
+    ("value", "by", "wanted"), [(2.0, 0.1, 1.8), (-2.0, 0.1, -2.2), (-2.0, -0.1, -1.8), (0, 0.5, 0)]
+)
+def test_less_is_less_whatever_the_sign(value, by, wanted):
+    assert Reduce("lift", by=by).of(value) == pytest.approx(wanted)
+
+
+def test_checks_have_options_as_others_have(tmp_path):
+    checks = ["early", Spec("slim", most=2.5)]
+    study = Study("a.lamp", checks=checks)
+    assert study.checks == ("early", Spec("slim", most=2.5))
+    assert 'checks = [\n    "early",\n    { name = "slim", most = 2.5 },\n]' in study.to_toml()
+    assert Study.from_toml(study.to_toml()).checks == study.checks
+    with pytest.raises(StudyError, match="checks: expected a list of names, or of Spec"):
+        Study("a.lamp", checks="slim")
+    with pytest.raises(StudyError, match="checks: expected a list of names, or of Spec"):
+        Study("a.lamp", checks=[1])
+    with pytest.raises(StudyError, match="checks: slim twice"):
+        Study("a.lamp", checks=["slim", Spec("slim", most=2.5)])
+    with pytest.raises(StudyError, match="option `name`"):
+        Study("a.lamp", checks=[Spec("slim", name="x")]).to_toml()
+
+
+def test_a_learned_measures_file_is_beside_the_study(tmp_path, monkeypatch):
+    monkeypatch.chdir("/")
+    (tmp_path / "study.toml").write_text("bank = 'a.lamp'\n[measured]\na = 'sub/a.measure:a'\nb = 'size.b'\n")
+    found = Study.read(tmp_path / "study.toml")
+    assert dict(found.measured) == {"a": f"{tmp_path}/sub/a.measure:a", "b": "size.b"}
+    monkeypatch.chdir(tmp_path)
+    text = Study("a.lamp", measured={"a": "sub/a.measure:a"}).to_toml()
+    assert dict(Study.from_toml(text, folder=Path("/elsewhere")).measured) == {"a": f"{tmp_path}/sub/a.measure:a"}
 
 
 def test_a_study_keeps_what_it_was_given():

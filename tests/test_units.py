@@ -59,7 +59,19 @@ def test_there_and_back(a, b):
 
 @pytest.mark.parametrize(
     ("unit", "to"),
-    [("m", "kg"), ("m", "m^2"), ("", "m"), ("m", ""), ("nonsense", "m"), ("m", "nonsense"), ("!!", "m"), ("m)", "m")],
+    [
+        ("deg", ""),
+        ("", "rad"),
+        ("percent", "deg"),
+        ("m", "kg"),
+        ("m", "m^2"),
+        ("", "m"),
+        ("m", ""),
+        ("nonsense", "m"),
+        ("m", "nonsense"),
+        ("!!", "m"),
+        ("m)", "m"),
+    ],
 )
 def test_what_cannot_become_the_other_is_named(unit, to):
     said = rf"^roof: cannot bring \[{unit or 'dimensionless'}\] to \[{to or 'dimensionless'}\]: ".replace("m)", r"m\)")

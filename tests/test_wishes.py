@@ -12,7 +12,7 @@ import pytest
 import lampopt
 from lampopt import Linear, Maximise, Minimise, Reduce, Spec, Study
 from lampopt.chain import Chain
-from lampopt.errors import InputError, StudyError
+from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.plugins import Plugins
 from lampopt.safeguards import LeastJacobian, Mismatch, judged_by, seen
 from lampopt.task import Task
@@ -125,6 +125,31 @@ def test_a_model_that_needs_what_is_not_there_is_named(bank):
         run(bank, targets={"odd.x": 1.0}, models={"odd": Slope()})
 
 
+@dataclass(frozen=True)
+class Flattens(Drag):
+    what: str = "values"
+
+    def __call__(self, parameters):
+        found = super().__call__(parameters)
+        return found[:, 0] if self.what == "values" else found
+
+    def gradient(self, parameters):
+        found = super().gradient(parameters)
+        return np.squeeze(found) if self.what == "gradient" else found
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("values", r"model 'aero': expected values of shape \(7, 2\), got \(7,\)"),
+        ("gradient", r"aero.*gradient: expected shape \(1, 2, 2\), got \(2, 2\)"),
+    ],
+)
+def test_a_model_of_another_shape_is_named(bank, what, message):
+    with pytest.raises(PluginError, match=message):
+        run(bank, targets={"aero.lift": 3.3}, models={"aero": Flattens(what=what)})
+
+
 def test_the_value_at_the_reference(bank):
     task = Task.of(Study(bank, models={"aero": Drag()}, measures={"own": toys.Volume()}), PLUGINS)
     known = task.wishes.quantities
@@ -209,6 +234,12 @@ def test_one_sided_ranges_and_sums(bank):
     assert values(low)["length"] == pytest.approx(2.8, abs=1e-6)
     with pytest.raises(StudyError, match="no mix can change it"):
         run(bank, linear={"nothing": Linear({"length": 0.0}, high=1.0)})
+    shares = np.array([[0.7, 0.2, 0.1], [0.3, 0.3, 0.4], [1 / 3, 1 / 3, 1 / 3], [0.6, 0.1, 0.3]])
+    assert np.ptp(shares[:, 0] + shares[:, 1] + shares[:, 2]) > 0  # by rounding
+    space = tuple(lampopt.Parameter(name) for name in ("front", "middle", "rear"))
+    parted = small.bank(replace(small.boxes(count=4), parameters=shares, space=space, measured={}), plugins=PLUGINS)
+    with pytest.raises(StudyError, match="linear: whole: all exemplars have 1: no mix can change it"):
+        run(parted, linear={"whole": Linear(dict.fromkeys(("front", "middle", "rear"), 1.0), low=1.05)})
 
 
 def test_weights_tell_what_gives_way(bank):

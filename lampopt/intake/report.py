@@ -215,6 +215,8 @@ def _loaded(exemplars: Exemplars, index: int) -> tuple[Trimesh | None, str]:
         mesh: object = exemplars.meshes[index]  # by index: a loader's IndexError would end an iteration
     except LampoptError as error:
         return None, f"{error}; mend or remove it"
+    except Exception as error:  # noqa: BLE001  # whatever a stranger's source raises
+        return None, f"cannot be loaded: {error!r}; mend or remove it"
     if not isinstance(mesh, Trimesh):
         return None, f"expected a trimesh.Trimesh, got {mesh!r:.80}"
     if not indexed(mesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():

@@ -17,7 +17,7 @@ from typing import Any
 from lampopt.errors import InputError, LampoptError, PluginError
 from lampopt.plugins import Offer, Plugins
 from lampopt.protocols import Regression
-from lampopt.testing import checkers, decoders, measures, others, shapes, solvers
+from lampopt.testing import checkers, decoders, measures, models, shapes, solvers, sources
 from lampopt.testing.engine import (
     CheckFunction,
     ConformanceError,
@@ -60,9 +60,9 @@ CHECKS: Mapping[str, tuple[CheckFunction, ...]] = MappingProxyType(
         "solver": solvers.CHECKS,
         "measure": measures.CHECKS,
         "surrogate": measures.SURROGATE_CHECKS,
-        "model": others.MODEL_CHECKS,
-        "regression": others.REGRESSION_CHECKS,
-        "source": others.SOURCE_CHECKS,
+        "model": models.CHECKS,
+        "regression": models.REGRESSION_CHECKS,
+        "source": sources.CHECKS,
         "check": checkers.CHECKS,
     }
 )

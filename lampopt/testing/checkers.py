@@ -19,22 +19,23 @@ from lampopt.types import Bank, Check, Design, Exemplars, Needs, Parameter
 
 
 @cache
-def _boxes() -> tuple[Bank, list[Design]]:
-    """A bank of five boxes, and a box between them and one beyond."""
+def _boxes() -> tuple[Bank, list[Design], frozenset[str]]:
+    """A bank of five boxes, and a box between them and one beyond; how lampopt's own checks of these are called."""
     sizes = np.array([[1.0, 0.5], [1.2, 0.5], [1.4, 0.6], [1.1, 0.7], [1.3, 0.8]])
     meshes = [shapes.box([length, width, 0.4], divisions=3) for length, width in sizes]
     space = (Parameter("length", "m"), Parameter("width", "m"))
     measured = {"length": "extents.length", "width": "extents.width"}
     bank = build_bank(Exemplars(sizes, space, meshes, tuple("abcde"), measured=measured), "vertex-template")
     asks = ({"length": 1.25, "width": 0.6}, {"length": 1.6})
-    return bank, [run(Study(bank, ask)).design for ask in asks]
+    found = [run(Study(bank, ask)) for ask in asks]
+    return bank, [result.design for result in found], frozenset(check.name for check in found[0].checks)
 
 
 def _asked(checker: Any) -> tuple[Bank, tuple[Design, ...]]:
     if hasattr(checker, "example_design"):
         bank, *designs = checker.example_design()
     else:
-        bank, designs = _boxes()
+        bank, designs, _ = _boxes()
     return bank, tuple(replace(design) for design in designs)  # each makes a mesh of its own, which may be spoilt
 
 
@@ -59,6 +60,8 @@ def check_checks_are_told(checker: Any) -> None:
         expect(good, f"expected a list of lampopt.Check, got {found!r:.80}")
         names = [check.name for check in found]
         expect(all(names) and len(set(names)) == len(names), f"expected distinct names, got {names}")
+        taken = set(names) & _boxes()[2]
+        expect(not taken, f"expected names of its own, got {sorted(taken)}, as lampopt's are called")
         other = {check.needs for check in found} - {checker.needs}
         expect(not other, f"expected checks that need {checker.needs!r} as it says, got {sorted(other)}")
     if not any(_told(checker)):

@@ -8,10 +8,13 @@ import random
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from lampopt import lamp
 from lampopt.errors import InputError, LampoptError
 from lampopt.plugins import known_options
 from lampopt.types import Array
@@ -135,6 +138,19 @@ def read_only(array: Array) -> Array:
     copy = np.array(array)
     copy.flags.writeable = False
     return copy
+
+
+def kept_and_read(fitted: Any) -> Any:
+    """What is made of the state of `fitted` after it was written to a file, as `lampopt.fit_model(store=)` does."""
+    cls = type(fitted)
+    module = sys.modules.get(cls.__module__)
+    found = getattr(module, cls.__qualname__, None) is cls
+    expect(found, f"expected {cls.__qualname__} to be a class of its module's own: a file names it by that")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "fitted"
+        lamp.write(path, fitted.state(), {})
+        arrays = {name: read_only(array) for name, array in lamp.read(path)[0].items()}
+    return cls.from_state(arrays)
 
 
 def options(plugin: object) -> dict[str, Any]:

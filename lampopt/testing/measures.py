@@ -12,7 +12,7 @@ from lampopt import units
 from lampopt.errors import EmptyMesh, InputError, MeasureError
 from lampopt.protocols import Gradient, Interval, Measure, State, Surrogate
 from lampopt.testing import shapes
-from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, must_raise, read_only, require
+from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, kept_and_read, must_raise, require
 from lampopt.types import Array
 
 if TYPE_CHECKING:
@@ -172,6 +172,9 @@ def check_mesh_is_left(measure: Any) -> None:
     mesh = example(measure)
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
     measure(mesh)
+    if isinstance(measure, Interval):
+        measure.interval(mesh, 0.9)
+        measure.outside(mesh)
     same = np.array_equal(vertices, mesh.vertices) and np.array_equal(faces, mesh.faces)
     expect(same, "measuring changed the mesh's vertices or faces")
 
@@ -249,10 +252,15 @@ def check_state_gives_it_again(measure: Any) -> None:
     if not has_it:
         raise NotApplicable("it has no state")
     mesh = example(measure)
-    again = type(measure).from_state({name: read_only(array) for name, array in measure.state().items()})
+    again = kept_and_read(measure)
     expect((again.names, again.units) == (measure.names, measure.units), "from_state: names or units differ")
     found, wanted = _values(again, mesh), _values(measure, mesh)
     _agree(found, wanted, measure.names, "made from its state", ORDER, _size(measure, mesh))
+    if isinstance(measure, Interval):
+        expect(isinstance(again, Interval), "made from its state it states no interval")
+        found, wanted = (np.asarray(one.interval(mesh, 0.9), float) for one in (again, measure))
+        same = np.allclose(found, wanted, rtol=1e-6, atol=1e-9)
+        expect(same, "made from its state it states another interval")
 
 
 CHECKS: tuple[CheckFunction, ...] = (
@@ -335,7 +343,7 @@ def check_learned_measure_is_kept(surrogate: Any) -> None:
     learned = _learned(surrogate)
     if not isinstance(learned, State):
         raise NotApplicable("what it learns has no state")
-    again = type(learned).from_state({name: read_only(array) for name, array in learned.state().items()})
+    again = kept_and_read(learned)
     answers = _held_out(surrogate)[1]
     apart = np.abs(_held_out(surrogate, again)[1] - answers).max() / max(float(np.ptp(answers)), 1e-9)
     expect(apart <= ORDER, f"made from its state it answers {apart:.1e} of the spread apart")

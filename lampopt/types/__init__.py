@@ -3,7 +3,7 @@
 Letters (docs/notation.md): N exemplars, d parameters, p labels, D weights, k rows, M points, C channels, B designs.
 """
 
-from lampopt.types.arrays import Array, frozen_array
+from lampopt.types.arrays import ROUNDING, Array, frozen_array
 from lampopt.types.bank import Bank, Exemplars, Frame, Parameter, Scalar, Spec, expect_bank
 from lampopt.types.calibration import Calibration
 from lampopt.types.design import LEVELS, Check, Design, Needs, Result, Sense
@@ -26,6 +26,7 @@ from lampopt.types.problem import (
 __all__ = [
     "BOUNDS",
     "LEVELS",
+    "ROUNDING",
     "Array",
     "Bank",
     "Calibration",

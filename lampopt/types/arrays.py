@@ -12,6 +12,7 @@ from lampopt.errors import InputError
 
 Array = npt.NDArray[Any]
 V = TypeVar("V")
+ROUNDING = 1e-12  # of the largest of some values: what differs by less differs by rounding
 
 
 def frozen_array(
@@ -110,21 +111,32 @@ def tuple_of(kind: type[V], value: object, what: str) -> tuple[V, ...]:
     return tuple(value)
 
 
-def normalisable(values: Array, names: Sequence[str], what: str) -> None:
-    """Raise InputError naming the first column (N, k) whose values, or the differences between them, overflow.
+def normalisable(values: Array, names: Sequence[str], what: str) -> Array:
+    """Columns (N, k) that can be normalised by their range, as they are before any solve.
 
-    Values are normalised by their range before any solve: beyond 1e-100 to 1e100 its square is no number any more.
+    Where values differ by rounding only, one stands for all: what is left of them is no range to go to either end of.
+
+    Raises
+    ------
+    InputError
+        Naming the first column beyond 1e-100 to 1e100, where the range's square is no number any more.
     """
-    for name, column in zip(names, values.T, strict=True):
+    found = values
+    for place, (name, column) in enumerate(zip(names, values.T, strict=True)):
         known = column[~np.isnan(column)]
         if known.size == 0:
             continue
         largest, spread = float(np.abs(known).max()), float(known.max() - known.min())
+        if 0 < spread <= ROUNDING * largest:
+            found = np.array(found)
+            found[~np.isnan(column), place], spread = known[0], 0.0
+            found.flags.writeable = False
         if largest > 1e100 or 0 < spread < 1e-100:
             raise InputError(
                 f"{what} {name!r}: expected values up to 1e100 that differ by 1e-100 or more, or not at all, got "
                 f"values up to {largest:.3g} that differ by {spread:.3g}: choose another unit"
             )
+    return found
 
 
 def whole(text: str, what: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from lampopt.errors import InputError
 from lampopt.types.arrays import (
+    ROUNDING,
     Array,
     Table,
     assign,
@@ -62,8 +63,11 @@ class Parameter:
 
     @property
     def spread(self) -> float:
-        """`high` − `low`; 0 where either is unknown."""
-        return 0.0 if self.low is None or self.high is None else self.high - self.low
+        """`high` − `low`; 0 where either is unknown, or where they differ by rounding."""
+        if self.low is None or self.high is None:
+            return 0.0
+        spread = self.high - self.low
+        return 0.0 if abs(spread) <= ROUNDING * max(abs(self.low), abs(self.high)) else spread
 
 
 @dataclass(frozen=True, init=False)
@@ -153,8 +157,11 @@ class Exemplars:
             labels=frozen_array(labels, "labels", (n, len(label_space)), nan=True),
             measured=_texts(self.measured, "measured"),
         )
-        normalisable(self.parameters, [q.name for q in space], "parameter")
-        normalisable(self.labels, [q.name for q in label_space], "label")
+        assign(
+            self,
+            parameters=normalisable(self.parameters, [q.name for q in space], "parameter"),
+            labels=normalisable(self.labels, [q.name for q in label_space], "label"),
+        )
         if not isinstance(self.unit, str):
             raise InputError(f"unit: expected text such as 'm', got {self.unit!r}")
         if not all(hasattr(self.meshes, ability) for ability in ("__len__", "__getitem__")):
@@ -305,8 +312,11 @@ class Bank:
             raise InputError(f"calibration: expected exemplars from 0 to {n - 1}, got {held}")
         if odd := [name for name, value in self.provenance.items() if not isinstance(value, str | int | float | None)]:
             raise InputError(f"provenance: expected texts, numbers and truth values, got others for {odd!r:.200}")
-        normalisable(self.parameters, [q.name for q in space], "parameter")
-        normalisable(self.labels, [q.name for q in label_space], "label")
+        assign(
+            self,
+            parameters=normalisable(self.parameters, [q.name for q in space], "parameter"),
+            labels=normalisable(self.labels, [q.name for q in label_space], "label"),
+        )
         if not all(isinstance(value, int) and not isinstance(value, bool) for value in self.mesh_facts.values()):
             raise InputError(f"mesh_facts: expected whole numbers, got {dict(self.mesh_facts)}")
 

@@ -56,7 +56,8 @@ class Evaluations:
                 value, gradient = self._term(at)
                 if gradient is None:
                     raise SolveError(
-                        f"{self._name}: has no gradient, which solver 'casadi' needs: choose solver 'nlopt', which "
+                        f"{self._name}: has no gradient by alpha, which solver 'casadi' needs: the measure has none, "
+                        "or the bank's decoder carries none from vertices to weights; choose solver 'nlopt', which "
                         "does without"
                     )
                 self._at, self._last = at.tobytes(), (float(value), np.array(gradient, float).reshape(len(at)))

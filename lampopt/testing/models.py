@@ -1,20 +1,20 @@
-"""What a model, a regression and a source have to do."""
+"""What a model and a regression have to do."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
-from lampopt.protocols import Model, Regression, Source, State, Uncertain
-from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, read_only, require
+from lampopt.protocols import Model, Regression, State, Symbolic, Uncertain
+from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, kept_and_read, require
 from lampopt.testing.measures import check_units_can_be_read
-from lampopt.types import Array, Exemplars
+from lampopt.types import Array
 
-FEW = 4  # exemplars whose meshes are loaded
 STEP = 1e-4  # relative, for differences
-FITS = 0.02  # of a mesh's diagonal
+LEVEL = 0.9  # coverage of intervals, where it does not matter
 
 
 def parameters(model: Any) -> Array:
@@ -48,9 +48,17 @@ def check_model_shapes(model: Any) -> None:
 def check_model_rows_are_independent(model: Any) -> None:
     """A design's labels must not depend on which others are asked about with it."""
     given = parameters(model)
-    alone = np.concatenate([model(row[None]) for row in given])
-    together = np.asarray(model(given))
-    expect(np.allclose(alone, together, rtol=1e-6, atol=1e-9), "rows one by one and together differ")
+    _rows_are_independent(given, labels=model, gradient=model.gradient)
+
+
+def _rows_are_independent(given: Array, **asked: Callable[[Array], Array]) -> None:
+    for what, ask in asked.items():
+        together = np.asarray(ask(given), float)
+        for i in range(len(given)):
+            alone = np.asarray(ask(given[i : i + 1]), float)
+            expect(alone.shape == (1, *together.shape[1:]), f"{what} of one row: expected one, got shape {alone.shape}")
+            same = np.allclose(alone[0], together[i], rtol=1e-6, atol=1e-9)
+            expect(same, f"{what}: rows one by one and together differ")
 
 
 def check_model_is_deterministic(model: Any) -> None:
@@ -84,12 +92,40 @@ def _slopes_agree(model: Any, given: Array) -> None:
     expect((apart < 0.01).all(), f"gradient is {apart.max():.1%} of the steepest slope from central differences")
 
 
+def check_model_expression_is_the_model(model: Any) -> None:
+    """A solver that has the expression follows it, and nothing else tells whether it is the model's."""
+    _expression_agrees(model, parameters(model))
+
+
+def _expression_agrees(model: Any, given: Array) -> None:
+    has_it = isinstance(model, Symbolic)
+    if not has_it:
+        raise NotApplicable("it has no expression")
+    if find_spec("casadi") is None:
+        raise NotApplicable("CasADi is not installed")
+    import casadi
+
+    at = casadi.SX.sym("parameters", given.shape[1])
+    expression = casadi.Function("labels", [at], [casadi.vertcat(model.symbolic(at))])
+    found = np.array([np.asarray(expression(row)).ravel() for row in given])
+    wanted = np.asarray(model(given))
+    expect(found.shape == wanted.shape, f"symbolic: expected {wanted.shape[1]} labels, got shape {found.shape[1:]}")
+    same = np.allclose(found, wanted, rtol=1e-6, atol=1e-9)
+    expect(same, f"symbolic: gives {found[0]} where the model gives {wanted[0]}")
+
+
 def check_model_parameters_are_left(model: Any) -> None:
     """The caller goes on with the parameters it gave."""
-    given = parameters(model)
+    _parameters_are_left(model, parameters(model))
+
+
+def _parameters_are_left(model: Any, given: Array) -> None:
     kept = given.copy()
     model(given)
     model.gradient(given)
+    if isinstance(model, Uncertain):
+        model.interval(given, LEVEL)
+        model.outside(given)
     expect(np.array_equal(given, kept), "the model changed the parameters it was given")
 
 
@@ -114,9 +150,10 @@ def _interval_holds(model: Any, given: Array) -> None:
     outside = np.asarray(model.outside(given))
     good = outside.shape == (len(given),) and outside.dtype == bool
     expect(good, f"outside: expected {len(given)} truth values, got {outside!r:.80}")
+    _rows_are_independent(given, interval=lambda rows: model.interval(rows, LEVEL), outside=model.outside)
 
 
-MODEL_CHECKS: tuple[CheckFunction, ...] = (
+CHECKS: tuple[CheckFunction, ...] = (
     check_model_protocol,
     *COMMON,
     check_units_can_be_read,
@@ -125,6 +162,7 @@ MODEL_CHECKS: tuple[CheckFunction, ...] = (
     check_model_is_deterministic,
     check_model_gradient_agrees_with_differences,
     check_model_interval_holds_the_value,
+    check_model_expression_is_the_model,
     check_model_parameters_are_left,
 )
 
@@ -190,13 +228,21 @@ def check_unlabelled_rows_do_not_count(regression: Any) -> None:
     expect(np.isfinite(answers).all(), "fitted on labels with gaps: expected finite labels")
     apart = np.abs(answers - without(given))[:, 1].max() / np.ptp(labels[:, 1])
     expect(apart < 0.1, f"rows without the label move it by {apart:.1%} of its spread")
+    apart = np.abs(answers - _learned(regression)(given))[:, 0].max() / np.ptp(labels[:, 0])
+    expect(apart < 0.1, f"rows that lack another label are lost to the one they have: {apart:.1%} of its spread")
 
 
 def check_learned_rows_are_independent(regression: Any) -> None:
     """A design's labels must not depend on which others are asked about with it."""
     fitted, (given, _) = _learned(regression), _rows(5, 9)
-    alone = np.concatenate([fitted(row[None]) for row in given])
-    expect(np.allclose(alone, fitted(given), rtol=1e-6, atol=1e-9), "rows one by one and together differ")
+    _rows_are_independent(given, labels=fitted, gradient=fitted.gradient)
+
+
+def check_one_label_is_learned_alike(regression: Any) -> None:
+    """Most banks have one label, and whether another is learned beside it must not matter to its shape."""
+    given, labels = _rows(60, 1)
+    fitted = regression.fit(given, labels[:, :1], inputs=INPUTS, names=NAMES[:1], units=UNITS[:1], seed=2)
+    check_model_shapes(fitted)
 
 
 def check_learned_gradient_follows_the_values(regression: Any) -> None:
@@ -219,10 +265,18 @@ def check_far_from_the_rows_is_outside(regression: Any) -> None:
     fitted, (given, _) = _learned(regression), _rows(60, 1)
     if not isinstance(fitted, Uncertain):
         raise NotApplicable("it knows no outside")
-    far = given[:1] + 20 * np.ptp(given, axis=0)
-    expect(np.all(fitted.outside(far)), "outside: False at 20 times the spread of the rows away from them")
+    centre, spread = given.mean(axis=0), np.ptp(given, axis=0)
+    for number, way in ((i, way) for i in np.flatnonzero(spread) for way in (-20, 20)):
+        far = centre + way * spread * np.eye(len(spread))[number]
+        said = bool(np.all(fitted.outside(far[None])))
+        expect(said, f"outside: False where {INPUTS[number]!r} is {way} times the rows' spread from their middle")
     inside = 1 - np.mean(fitted.outside(given))
     expect(inside > LEARNT, f"outside: True of {1 - inside:.0%} of the rows that it was fitted on")
+
+
+def check_learned_expression_is_the_model(regression: Any) -> None:
+    """A solver that has the expression follows it, and nothing else tells whether it is the model's."""
+    _expression_agrees(_learned(regression), _rows(20, 9)[0])
 
 
 def check_learned_model_is_kept(regression: Any) -> None:
@@ -230,10 +284,16 @@ def check_learned_model_is_kept(regression: Any) -> None:
     fitted, (given, _) = _learned(regression), _rows(10, 9)
     if not isinstance(fitted, State):
         raise NotApplicable("what it learns has no state")
-    again = type(fitted).from_state({name: read_only(array) for name, array in fitted.state().items()})
+    again = kept_and_read(fitted)
     said = tuple(again.names), tuple(again.units), tuple(again.inputs)
     expect(said == (NAMES, UNITS, INPUTS), f"made from its state it says {said}")
     expect(np.array_equal(again(given), fitted(given)), "made from its state it answers differently")
+    if isinstance(fitted, Uncertain):
+        far = np.concatenate([given, 10 * given])
+        expect(isinstance(again, Uncertain), "made from its state it states no interval")
+        same = np.array_equal(again.interval(far, LEVEL), fitted.interval(far, LEVEL))
+        expect(same, "made from its state it states other intervals")
+        expect(np.array_equal(again.outside(far), fitted.outside(far)), "made from its state it has another outside")
 
 
 def check_rows_given_are_left(regression: Any) -> None:
@@ -241,8 +301,7 @@ def check_rows_given_are_left(regression: Any) -> None:
     given, labels = _rows(60, 1)
     kept = given.copy(), labels.copy()
     fitted = _learn(regression, given, labels)
-    fitted(given)
-    fitted.gradient(given)
+    _parameters_are_left(fitted, given)
     left = np.array_equal(given, kept[0]) and np.array_equal(labels, kept[1])
     expect(left, "learning or asking changed the parameters or labels that were given")
 
@@ -253,110 +312,12 @@ REGRESSION_CHECKS: tuple[CheckFunction, ...] = (
     check_model_fit_is_deterministic,
     check_plane_is_learned,
     check_unlabelled_rows_do_not_count,
+    check_one_label_is_learned_alike,
     check_learned_rows_are_independent,
     check_learned_gradient_follows_the_values,
     check_learned_interval_holds_the_value,
     check_far_from_the_rows_is_outside,
+    check_learned_expression_is_the_model,
     check_learned_model_is_kept,
     check_rows_given_are_left,
-)
-
-
-def _few(exemplars: Exemplars) -> list[int]:
-    return sorted({round(i) for i in np.linspace(0, len(exemplars) - 1, FEW)})
-
-
-def _same(a: Any, b: Any) -> bool:
-    return np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
-
-
-def check_source_protocol(source: Any) -> None:
-    """A bank is built from exemplars, wherever they come from."""
-    require(source, Source)
-    found = source()
-    expect(isinstance(found, Exemplars), f"expected Exemplars, got {type(found).__name__}")
-
-
-def check_source_repeats_itself(source: Any) -> None:
-    """A build that is resumed asks again and has to meet the same exemplars."""
-    first, second = source(), source()
-    for what in ("names", "space", "label_space", "unit"):
-        a, b = getattr(first, what), getattr(second, what)
-        expect(a == b, f"two calls give {what} {a} and {b}")
-    expect(np.array_equal(first.parameters, second.parameters), "two calls give other parameters")
-    expect(np.array_equal(first.labels, second.labels, equal_nan=True), "two calls give other labels")
-    for i in _few(first):
-        expect(_same(first.meshes[i], second.meshes[i]), f"two calls give other meshes of {first.names[i]!r}")
-
-
-def check_source_meshes_load(source: Any) -> None:
-    """A mesh that cannot be used is cheaper to meet here than after an hour of fitting."""
-    found = source()
-    for i in _few(found):
-        mesh, name = found.meshes[i], found.names[i]
-        expect(len(mesh.faces) > 0, f"mesh of {name!r}: expected faces, got none")
-        expect(np.isfinite(mesh.vertices).all(), f"mesh of {name!r}: expected finite vertices")
-
-
-def check_source_meshes_are_closed(source: Any) -> None:
-    """Inside and outside are certain on closed meshes only; a source of open ones says so with `watertight = False`."""
-    if not getattr(source, "watertight", True):
-        raise NotApplicable("the source says that its meshes are open")
-    found = source()
-    for i in _few(found):
-        expect(found.meshes[i].is_watertight, f"mesh of {found.names[i]!r} is open and the source does not say so")
-
-
-def check_source_meshes_can_be_read_twice(source: Any) -> None:
-    """Fitting, measuring and hashing each read an exemplar, in any order, and have to see one mesh."""
-    found = source()
-    few = _few(found)
-    first = [(np.array(found.meshes[i].vertices), np.array(found.meshes[i].faces)) for i in few]
-    for (vertices, faces), i in zip(reversed(first), reversed(few), strict=True):
-        mesh = found.meshes[i]
-        same = np.array_equal(vertices, mesh.vertices) and np.array_equal(faces, mesh.faces)
-        expect(same, f"mesh of {found.names[i]!r} differs when it is read again")
-
-
-def check_source_meshes_end(source: Any) -> None:
-    """Iterating over a sequence stops at IndexError; without it a loop never ends or ends in a crash."""
-    found = source()
-    try:
-        found.meshes[len(found)]
-    except IndexError:
-        return
-    expect(False, f"meshes[{len(found)}] of {len(found)}: expected IndexError, got a mesh")
-
-
-def check_source_parameters_differ(source: Any) -> None:
-    """Two exemplars with the same parameters and other shapes make the mix between them meaningless."""
-    found = source()
-    order = np.lexsort(found.parameters.T) if found.parameters.shape[1] else np.arange(len(found))
-    for a, b in pairwise(order):
-        if np.array_equal(found.parameters[a], found.parameters[b]):
-            same = _same(found.meshes[a], found.meshes[b])
-            expect(same, f"{found.names[a]!r} and {found.names[b]!r} differ in shape and not in parameters")
-
-
-def check_source_mesh_at_is_the_exemplar(source: Any) -> None:
-    """Produced shapes are judged against this truth, so it has to be the truth where an exemplar shows it."""
-    found = source()
-    if found.mesh_at is None:
-        raise NotApplicable("the source knows no true meshes")
-    for i in _few(found):
-        given, true = found.meshes[i], found.mesh_at(np.array(found.parameters[i]))
-        apart = np.abs(np.asarray(true.bounds) - np.asarray(given.bounds)).max() / given.scale
-        expect(apart <= FITS, f"mesh_at the parameters of {found.names[i]!r} is {apart:.1%} of its size off")
-
-
-SOURCE_CHECKS: tuple[CheckFunction, ...] = (
-    check_source_protocol,
-    *COMMON,
-    check_source_repeats_itself,
-    check_source_meshes_load,
-    check_source_meshes_are_closed,
-    check_source_meshes_can_be_read_twice,
-    check_source_meshes_end,
-    check_source_parameters_differ,
-    check_source_mesh_at_is_the_exemplar,
 )
