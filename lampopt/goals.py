@@ -15,7 +15,7 @@ from lampopt.units import said
 
 @dataclass(frozen=True)
 class Reduce:
-    """A target below the reference's value by a part of its size: ``Reduce("drag", by=0.10)`` asks for 0.9 of it."""
+    """A part of the reference's value: ``Reduce("drag", by=0.10)`` asks for 0.9 of it, of a negative one too."""
 
     name: str
     by: float
@@ -35,8 +35,8 @@ class Reduce:
         return self.by < 0
 
     def of(self, value: float) -> float:
-        """What is asked for where the reference has `value`: below it by a part of its size, whatever its sign."""
-        return value - self.by * abs(value)
+        """What is asked for where the reference has `value`: nearer to 0 by a part of it, from below as from above."""
+        return (1 - self.by) * value
 
     def written(self) -> dict[str, Any]:
         """As it stands in TOML."""

@@ -19,6 +19,7 @@ from lampopt.types import BOUNDS, Array, Bank, Conflict, Mix, MixBatch, Problem,
 
 MET = "every target is met"
 ALIKE = 1e-3  # of what gives alone and of what all give: not told twice
+FARTHEST = 1e9  # half ranges, beyond which no mix can be told from others in double precision
 GIVES = 1e-6  # what gives less [normalised] is not told to give
 
 
@@ -171,6 +172,11 @@ def pose(
             raise StudyError(f"ranges: expected low ≤ high, got {low:g} to {high:g}")
         if low == inf or high == -inf:
             raise StudyError(f"ranges: expected a range with numbers in it, got {low:g} to {high:g}")
+    for c in rows:
+        _expect_near(c, targets[c.name])
+    for c, (low, high) in zip(limits, ends, strict=True):
+        _expect_near(c, low)
+        _expect_near(c, high)
     asked = {c.name for c in (*rows, *limits)} | {*moved}
     asked |= {parameter for parameter, address in bank.measured_by.items() if address in asked}
     parameters = [names[q.name] for q in bank.space if names[q.name].spread > 0]
@@ -191,6 +197,17 @@ def pose(
         directions=_directions(_matrix(parameters, active)),
     )
     return Posed(problem, active, rows, len(bank), limits)
+
+
+def _expect_near(asked: Column, value: float) -> None:
+    far = abs(float(asked.normalised(value)))
+    if FARTHEST < far < inf:
+        high = asked.low + asked.spread
+        raise StudyError(
+            f"{asked.name}: expected a value within {FARTHEST:g} half ranges of the bank's, which go from "
+            f"{asked.low:g} to {high:g}, got {value:g} {asked.unit}".rstrip()
+            + ": is the unit right?"
+        )
 
 
 def _matrix(rows: Sequence[Column], active: Array) -> Array:

@@ -118,6 +118,16 @@ def test_ranges_are_normalised_rows_of_their_own():
             pose(bank(), {}, ranges={"length": (end, end)})
 
 
+@pytest.mark.parametrize(
+    "asked", [({"width": 1e15}, {}), ({}, {"width": (1000.0, 1e15)}), ({}, {"width": (-1e15, 1500)})]
+)
+def test_what_no_mix_can_be_told_apart_at_is_refused(asked):
+    with pytest.raises(
+        StudyError, match="width: expected a value within 1e.09 half ranges of the bank's, .* mm: is the"
+    ):
+        pose(bank(), asked[0], ranges=asked[1])
+
+
 def test_what_differs_by_rounding_does_not_differ():
     """0.1 + 0.2 is not 0.3, and no direction for a mix to go."""
     noisy = np.array([0.3, 0.1 + 0.2] * 3)

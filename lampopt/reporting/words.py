@@ -133,8 +133,8 @@ def asked_rows(study: Study, bank: Bank, gathered: Gathered) -> list[dict[str, s
         else:
             what = f"{number(values[0])} to {number(values[-1])}, {len(values):,} values"
         if isinstance(study.objective, Reduce) and name == study.objective.name:
-            side = "below" if study.objective.by >= 0 else "above"
-            what += f", {number(abs(100 * study.objective.by))} % {side} {study.reference}"
+            change = "less" if study.objective.by >= 0 else "more"
+            what += f", {number(abs(100 * study.objective.by))} % {change} than {study.reference}"
         elif name in study.keep:
             what += f", kept as {'in ' + study.reference if study.reference else 'the mean'}"
         if name in study.hard:
