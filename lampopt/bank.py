@@ -21,7 +21,7 @@ from lampopt import lamp
 from lampopt.errors import BankError, InputError
 from lampopt.fitting import Fitting, InBox, probe_values, ranged
 from lampopt.intake import Facts, Intake, intake
-from lampopt.measured import measure_all
+from lampopt.measured import measure_all, whole_address
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Progress, Shared
@@ -99,8 +99,8 @@ def build_bank(
     path = path_of(store, "store") if store is not None else None
     report = looked_at(exemplars, accept, finished=path is not None and path.exists(), progress=progress)
     exemplars, facts = report.exemplars, report.facts
-    plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name)}", seed, batch, probes)
-    measured_by = {**exemplars.measured, **(measured or {})}
+    plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name).exactly}", seed, batch, probes)
+    measured_by = {name: whole_address(address) for name, address in {**exemplars.measured, **(measured or {})}.items()}
     if path is not None and path.exists():
         return _finished(path, plan, exemplars, measured_by, limits, plugins)
     values = measure_all(exemplars, measured_by, plugins)

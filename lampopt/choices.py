@@ -62,7 +62,14 @@ def written_checks(checks: Sequence[str | Spec]) -> list[str | dict[str, Any]]:
     for choice in checks:
         if isinstance(choice, Spec) and "name" in choice.options:
             raise StudyError(f"checks: {choice} has an option `name`, which TOML could not tell from its own")
-    return [choice if isinstance(choice, str) else {"name": choice.name, **choice.options} for choice in checks]
+    return [
+        choice if isinstance(choice, str) else {"name": choice.name, **absolute(choice).options} for choice in checks
+    ]
+
+
+def table_beside(choice: Any, what: str, folder: Path | None) -> Any:
+    """What TOML has for a plugin: of a table its Spec, with the option `file` taken from `folder`; else as it is."""
+    return beside(spec_of(choice, what), folder) if isinstance(choice, dict) else choice
 
 
 def measures_of(given: object) -> Mapping[str, Spec | Measure]:
@@ -98,7 +105,7 @@ def written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict
     for name, choice in measures.items():
         if isinstance(choice, Spec) and "name" in choice.options:
             raise StudyError(f"measures: {name}: {choice} has an option `name`, which TOML could not tell from its own")
-        options = _absolute(choice).options if isinstance(choice, Spec) else {"of": _class(choice)}
+        options = absolute(choice).options if isinstance(choice, Spec) else {"of": _class(choice)}
         found[name] = {"name": choice.name if isinstance(choice, Spec) else GIVEN, **options}
     return found
 
@@ -139,7 +146,7 @@ def beside_address(address: Any, folder: Path | None) -> Any:
     return str(folder / address) if folder is not None and isinstance(address, str) and ":" in address else address
 
 
-def _absolute(choice: Spec) -> Spec:
+def absolute(choice: Spec) -> Spec:
     """`choice` with its option `file` from the current folder: what is written may be read from another."""
     return beside(choice, Path.cwd())
 

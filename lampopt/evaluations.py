@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from lampopt.errors import InputError
+from lampopt.errors import InputError, SweepError
 from lampopt.progress import silent
 from lampopt.types import Array
 
@@ -64,7 +64,7 @@ class Memory:
 
         Raises
         ------
-        InputError
+        SweepError
             If it cannot be written.
         """
         now = time.perf_counter()
@@ -83,7 +83,7 @@ class Memory:
                     file.write(b"\n")  # a kill cut the last line short
                 file.write(json.dumps(row).encode() + b"\n")
         except OSError as error:
-            raise InputError(f"{self.file}: cannot be written: {error}; what is recorded there is kept") from error
+            raise SweepError(f"{self.file}: cannot be written: {error}; what is recorded there is kept") from error
 
 
 def evaluations(folder: Path) -> Iterator[Evaluation]:

@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 
-from lampopt.errors import InputError, StudyError
+from lampopt.errors import InputError, MeasureError, StudyError
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
 from lampopt.protocols import Progress, Solver
@@ -163,6 +163,8 @@ def explore(
     ------
     StudyError
         If the study asks for what cannot be, or `level` is none.
+    MeasureError
+        If a check could not judge for a reason that may pass; the same call tries again.
     """
     if not isinstance(study, Study):
         raise StudyError(f"study: expected a Study, got {said(study):.80}; read one with Study.read(path)")
@@ -238,6 +240,10 @@ def _judged(task: Task, posed: Posed, mix: Mix, predicted: dict[str, float]) -> 
 
 
 def _failed(result: Result) -> str:
+    if lost := [check for check in result.checks if check.retry]:
+        error = MeasureError(f"{lost[0].name}: {lost[0].note}")
+        error.passing = True
+        raise error
     return next((check.name for check in result.checks if not check.passed), "")
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
-import sys
 import uuid
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from lampopt import lamp
+from lampopt.choices import absolute
+from lampopt.code import source_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import External, Measure, Model, State
 from lampopt.types import Bank, Spec
@@ -50,20 +49,22 @@ def whole(bank: Bank) -> str:
 def offered(kind: str, choice: str | Spec, plugins: Plugins) -> list[str]:
     """What tells a plugin's object from others: who offers it, the file that defines it, with which options."""
     spec = Spec.of(choice)
-    offer = plugins.get(kind, spec.name)
-    return [str(offer), source(offer.resolve()), repr(spec)]
+    return [*plugins.get(kind, spec.name).exactly, repr(absolute(spec))]
 
 
 def told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> list[str]:
-    """What tells a measure from others: as `offered`, and what it has learned.
+    """What tells a measure from others: as `offered`; what it has learned, wherever the file of that lies.
 
-    Of an `External` one the options that its values depend on.
+    Of an `External` one, whose values are its program's and dear, who offers it, and the options that they depend on.
     """
     if not isinstance(choice, Spec):
         return given(choice)
     if isinstance(measure, External):
-        choice = Spec(choice.name, **measure.depends_on())
-    return [*offered("measure", choice, plugins), *([learned(measure)] if isinstance(measure, State) else [])]
+        return [str(plugins.get("measure", choice.name)), repr(Spec(choice.name, **measure.depends_on()))]
+    if not isinstance(measure, State):
+        return offered("measure", choice, plugins)
+    choice = Spec(choice.name, **{name: value for name, value in choice.options.items() if name != "file"})
+    return [*offered("measure", choice, plugins), learned(measure)]
 
 
 def learned(measure: Measure | Model) -> str:
@@ -76,32 +77,22 @@ def learned(measure: Measure | Model) -> str:
 def given(measure: Measure | Model) -> list[str]:
     """A measure given as an object: its class, the file that defines it, its options.
 
-    Of an `External` one those that its values depend on. What cannot be pickled may be anything: no recorded result is
-    taken for its own.
+    Of an `External` one those that its values depend on, whatever file. What cannot be pickled may be anything: no
+    recorded result is taken for its own.
     """
     cls = type(measure)
+    who = [cls.__module__, cls.__qualname__]
+    if isinstance(measure, External):
+        return [*who, hashed(sorted(measure.depends_on().items()))]
+    if isinstance(measure, State):
+        return [*who, source_of(cls), learned(measure)]
     try:
-        if isinstance(measure, External):
-            options = repr(sorted(measure.depends_on().items())).encode()
-        else:
-            options = learned(measure).encode() if isinstance(measure, State) else pickle.dumps(measure)
+        options = measure.__reduce_ex__(4)[2]  # each by itself: a pickle of all says which of them are one object
+        by_name = options if isinstance(options, dict) else {"": measure}
+        pickled = {str(name): hashlib.blake2b(pickle.dumps(value)).hexdigest() for name, value in by_name.items()}
     except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
-        options = uuid.uuid4().bytes
-    return [cls.__module__, cls.__qualname__, source(cls), hashlib.blake2b(options).hexdigest()]
-
-
-@cache
-def source(cls: type) -> str:
-    """A hash of the file that defines a class, with all that it may call there: versions stay while it is written.
-
-    What cannot be read (typed at a prompt) may be anything: no recorded result is taken for its own.
-    """
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    try:
-        content = Path(file).read_bytes() if file else uuid.uuid4().bytes
-    except OSError:
-        content = uuid.uuid4().bytes
-    return hashlib.blake2b(content).hexdigest()
+        return [*who, uuid.uuid4().hex]
+    return [*who, source_of(cls), hashed(pickled)]
 
 
 def hashed(value: object) -> str:

@@ -309,7 +309,7 @@ def _finished(path: Path, plan: str, names: Iterable[str], measure: Measure) -> 
     """The bank in `path`; it is said where its labels are another program's than the one that is there now."""
     bank = lamp.load_bank(path)
     if bank.provenance.get("labels") != plan:
-        raise BankError(f"{path}: holds another bank: delete it or name another")
+        raise BankError(f"{path}: holds another bank, or other labels: name another file, or delete it if it is stale")
     if isinstance(measure, External):
         then = {json.loads(str(bank.provenance[f"{LABELLED}{name}"])).get("program", "?") for name in names}
         with suppress(MeasureError):  # which is needed for what is not labelled yet only

@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -192,6 +192,12 @@ def _mapped(path: Path, size: int, body: int, name: str, entry: Mapping[str, Any
         ) from error
 
 
+def _moved(address: str, way: Callable[[str], str]) -> str:
+    """The address of a measured value, the file of a learned measure that it may name by another way."""
+    file, sign, value = address.rpartition(":") if isinstance(address, str) else ("", "", "")
+    return f"{way(file)}{sign}{value}" if file else address
+
+
 def store_bank(bank: Bank, path: str | Path) -> Bank:
     """Write `bank` to a `.lamp` file and return it as read from there."""
     path = path_of(path, "store")
@@ -211,7 +217,10 @@ def store_bank(bank: Bank, path: str | Path) -> Bank:
         "names": list(bank.names),
         "frame": {"scale": bank.frame.scale, "centre": bank.frame.centre.tolist(), "unit": bank.frame.unit},
         "decoder": {"name": bank.decoder.name, "options": dict(bank.decoder.options)},
-        "measured_by": [list(pair) for pair in bank.measured_by.items()],  # in the order of `measured`
+        "measured_by": [  # in the order of `measured`; files of learned measures by their way from this one
+            [name, _moved(address, lambda file: os.path.relpath(file, path.parent.absolute()))]
+            for name, address in bank.measured_by.items()
+        ],
         "mesh_facts": dict(bank.mesh_facts),
         "limits": dict(bank.limits),
         "calibration": None if found is None else {"tolerance": found.tolerance, "checks": list(found.checks)},
@@ -248,7 +257,10 @@ def load_bank(path: str | Path) -> Bank:
             shared={k.removeprefix("shared."): v for k, v in arrays.items() if k.startswith("shared.")},
             frame=Frame(**record["frame"]),
             decoder=Spec(record["decoder"]["name"], **record["decoder"]["options"]),
-            measured_by=dict(record["measured_by"]),
+            measured_by={
+                name: _moved(address, lambda file: os.path.normpath(path.parent.absolute() / file))
+                for name, address in dict(record["measured_by"]).items()
+            },
             mesh_facts=record["mesh_facts"],
             limits=record["limits"],
             calibration=_calibration(record["calibration"], arrays),

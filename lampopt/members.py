@@ -84,7 +84,7 @@ def add_exemplars(
         "names": exemplars.names,
         "parameters": lamp.digest(exemplars.parameters),
         "labels": lamp.digest(exemplars.labels),
-        "decoder": f"{bank.decoder!r} of {plugins.get('decoder', bank.decoder.name)}",
+        "decoder": f"{bank.decoder!r} of {plugins.get('decoder', bank.decoder.name).exactly}",
     }
     plan = _plan(bank, added=inputs | ({"provenance": told} if told else {}))
     path = path_of(store, "store") if store is not None else None
@@ -300,7 +300,7 @@ def _finished(path: Path, plan: str) -> Bank:
     """The bank at `path`, if it is the one asked for."""
     bank = lamp.load_bank(path)
     if bank.provenance.get("plan") != plan:
-        raise BankError(f"{path}: holds another bank: delete it or name another")
+        raise BankError(f"{path}: holds another bank: name another file, or delete it if it is stale")
     Partial.beside(path, plan).remove()  # left where this was killed in its very last moment
     return bank
 

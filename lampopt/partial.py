@@ -65,8 +65,8 @@ class Partial:
     def _refuse_others(self) -> None:
         if self._planned() not in (None, self.plan):
             raise BankError(
-                f"{self.folder}: holds the beginning of a bank made from other exemplars, options or seed: delete it "
-                "or name another store"
+                f"{self.folder}: holds the beginning of a bank made from other exemplars, options or seed, or by "
+                "another version of a plugin: delete it or name another store"
             )
 
     def _begin(self, store: Path) -> None:

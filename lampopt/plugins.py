@@ -22,6 +22,7 @@ import numpy.typing as npt
 import pluggy
 
 from lampopt import hookspecs, protocols
+from lampopt.code import source_of
 from lampopt.errors import PluginError
 from lampopt.types import Array, Result, Scalar, Spec, frozen_array
 
@@ -61,6 +62,7 @@ class Offer:
             Naming the plugin and the cause.
         """
         if isinstance(self.target, type):
+            source_of(self.target)
             return self.target
         try:
             module, _, attribute = self.target.partition(":")
@@ -71,10 +73,16 @@ class Offer:
             raise PluginError(
                 f"{self.kind} {self.name!r} of {self}: expected a class at {self.target!r}, got {found!r}"
             )
+        source_of(found)  # now that it was read: the file may be edited while this process goes on
         return found
 
     def __str__(self) -> str:
         return f"plugin {self.plugin!r} ({self.distribution} {self.version})"
+
+    @property
+    def exactly(self) -> list[str]:
+        """Who offers it, and what defines it: its version stays while a plugin is written."""
+        return [str(self), source_of(self.resolve())]
 
 
 @dataclass(frozen=True)

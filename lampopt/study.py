@@ -15,7 +15,6 @@ from typing import Any, cast
 
 from lampopt.choices import (
     Value,
-    beside,
     beside_address,
     checks_of,
     is_value,
@@ -24,6 +23,7 @@ from lampopt.choices import (
     names_of,
     native,
     spec_of,
+    table_beside,
     table_of,
     value_list,
     value_pair,
@@ -319,10 +319,9 @@ class Study:
         if "experiments" in document:
             document["experiments"] = Experiments.read(document["experiments"])
         if isinstance(measures := document.get("measures"), dict):
-            document["measures"] = {
-                name: beside(spec_of(value, f"measures: {name}"), folder) if isinstance(value, dict) else value
-                for name, value in measures.items()
-            }
+            document["measures"] = {n: table_beside(choice, f"measures: {n}", folder) for n, choice in measures.items()}
+        if isinstance(checks := document.get("checks"), list):
+            document["checks"] = [table_beside(choice, "checks", folder) for choice in checks]
         if isinstance(measured := document.get("measured"), dict):
             document["measured"] = {name: beside_address(address, folder) for name, address in measured.items()}
         if isinstance(models := document.get("models"), dict):

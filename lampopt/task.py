@@ -202,15 +202,10 @@ class Task:
         drift = self.bank.measured_by.values() if study.level == "mesh" else ()
         return hashed(
             {
+                **self._question,
                 "versions": {name: said for name, said in self.provenance.items() if not name.startswith(PROGRAM)},
-                **contents(self.bank),
                 "limits": [dict(study.limits), dict(self.bank.limits)],
-                "solver": offered("solver", study.solver, self.plugins),
                 "decoder": offered("decoder", self.bank.decoder, self.plugins),
-                "reference": study.reference,
-                "ranges": study.bounds(self.wishes.quantities),
-                "hard": study.hard,
-                **self._more,
                 "measures": {
                     name: told(choice, self.measures[name], self.plugins)
                     for name, choice in study.to_be_measured().items()
@@ -220,9 +215,26 @@ class Task:
                 "format": study.format,
                 "level": study.level,
                 "resolution": study.resolution,
-                "seed": study.seed,
             }
         )
+
+    @property
+    def question(self) -> str:
+        """A hash of what a search for the answer depends on: what is asked of which bank, not who judges or reports."""
+        return hashed(self._question)
+
+    @property
+    def _question(self) -> dict[str, object]:
+        study = self.study
+        return {
+            **contents(self.bank),
+            "solver": offered("solver", study.solver, self.plugins),
+            "reference": study.reference,
+            "ranges": study.bounds(self.wishes.quantities),
+            "hard": study.hard,
+            **self._more,
+            "seed": study.seed,
+        }
 
     @property
     def _more(self) -> dict[str, object]:
@@ -240,7 +252,9 @@ class Task:
                 name: learned(model) if isinstance(model, State) else given(model)
                 for name, model in self.models.items()
             },
-            "measured": {name: [address, self._who(address)] for name, address in study.measured.items()},
+            "measured": {
+                name: [address.rpartition(":")[2], self._who(address)] for name, address in study.measured.items()
+            },
             "measuring": {
                 name: self._who(name) for name in self._named if self.wishes.quantities[name].measure is not None
             },

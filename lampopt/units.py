@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from numbers import Integral, Real
+from typing import Any
 
 from lampopt.errors import InputError
 
@@ -51,12 +52,18 @@ def _converted(value: float, unit: str, to: str, what: str) -> float:
     registry = pint.get_application_registry()
     try:
         given = registry.Quantity(value, unit or "dimensionless").to(to or "dimensionless")
-        if (unit in ANGLES) != (to in ANGLES):  # to pint, an angle is a number
+        if _turns(registry, unit) != _turns(registry, to):  # to pint, an angle is a number
             raise pint.DimensionalityError(unit or "dimensionless", to or "dimensionless")
         return float(given.magnitude)
     except Exception as error:  # pint's parser raises whatever Python's tokenizer does
         why = str(error) if isinstance(error, pint.DimensionalityError) else repr(error)
         raise InputError(f"{what}: cannot bring [{_named(unit)}] to [{_named(to)}]: {why}") from error
+
+
+def _turns(registry: Any, unit: str) -> float:
+    """The power of an angle in `unit`: 1 of degrees, −1 of what is per radian."""
+    root = registry.Quantity(1.0, unit or "dimensionless").to_root_units().units
+    return float(root._units.get("radian", 0))
 
 
 def _plain(unit: str) -> bool:

@@ -255,6 +255,13 @@ def test_what_is_no_search_is_refused(bank, tmp_path, text, said):
         AskTell.load(tmp_path / "nothing.json", Study(bank), plugins=PLUGINS)
 
 
+def test_who_reports_or_judges_makes_no_other_search(bank, tmp_path):
+    """What was told was dear; a measure that only reports may be another next week."""
+    file = go_on(search(Study(bank)), most=3).save(tmp_path / "search.json")
+    other = Study(bank, measures=["volume"], limits={"alpha": 9.0}, level="alpha", resolution=32)
+    assert AskTell.load(file, other, plugins=PLUGINS).ask().number == 3
+
+
 @pytest.mark.parametrize("told", [[{}], [3], 3, [{"alpha": [1.0], "value": 1.0}], [{"alpha": "x", "value": 1.0}]])
 def test_damaged_entries_are_refused(bank, tmp_path, told):
     file = go_on(search(Study(bank)), most=1).save(tmp_path / "search.json")

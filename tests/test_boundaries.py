@@ -23,6 +23,7 @@ LAYERS = (
     {"errors"},
     {"types"},
     {
+        "code",
         "units",
         "topology",
         "metrics",

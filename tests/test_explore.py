@@ -10,7 +10,7 @@ import pytest
 
 import lampopt
 from lampopt import cli, explore
-from lampopt.errors import StudyError
+from lampopt.errors import MeasureError, StudyError
 from lampopt.plugins import Plugins
 from lampopt.types import Check, Mix, MixBatch
 
@@ -50,6 +50,22 @@ class Gap:
         return [Check("gap", float(2.6 < design.predicted[0] < 2.9), "=", 0.0, "", "alpha")]
 
 
+@dataclass(frozen=True)
+class License:
+    """Checker: the fourth time that it is asked its server is down."""
+
+    needs = "alpha"
+
+    def __call__(self, bank, design):
+        ASKED.append(design)
+        if len(ASKED) == 4:
+            error = MeasureError("no licence now")
+            error.passing = True
+            raise error
+        return []
+
+
+ASKED = []
 SEEN = {"alpha": [], "mesh": []}
 
 
@@ -88,7 +104,7 @@ class More:
 
     @lampopt.hookimpl
     def lampopt_checks(self):
-        return {"gap": Gap, "early": Early, "late": Late}
+        return {"gap": Gap, "early": Early, "late": Late, "licence": License}
 
 
 PLUGINS = small.plugins(("more", More()))
@@ -468,3 +484,12 @@ def test_a_rejected_design_is_said(study_file, capsys):
     assert "REJECTED" in capsys.readouterr().err
     assert cli.main(["explore", str(study_file.parent / "none.toml"), "--json"]) == 2
     assert json.loads(capsys.readouterr().out)["error"]["type"] == "StudyError"
+
+
+def test_a_check_that_cannot_judge_now_ends_no_range(boxes):
+    study = lampopt.Study(boxes, {"length": 2.5}, checks=["licence"])
+    ASKED.clear()
+    with pytest.raises(MeasureError, match="licence: cannot judge: no licence now") as caught:
+        found(study)
+    assert caught.value.passing
+    assert found(study).interval("length").low < 2.0

@@ -333,7 +333,7 @@ def test_a_store_of_another_bank_is_refused(bank, tmp_path):
     store = tmp_path / "grown.lamp"
     lampopt.store_bank(bank, store)
     for change in (lambda: add(bank, few([5]), store=store), lambda: remove(bank, store)):
-        with pytest.raises(BankError, match="holds another bank: delete it or name another"):
+        with pytest.raises(BankError, match="holds another bank: name another file, or delete it"):
             change()
     assert small.same(lampopt.load_bank(store), bank)
 

@@ -5,7 +5,7 @@ import multiprocessing
 import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,8 @@ import pytest
 import lampopt
 from lampopt import Exemplars, Parameter, Spec, Study
 from lampopt.errors import InputError, MeasureError, StudyError
+from lampopt.identity import given
+from lampopt.task import Task
 from lampopt.testing import shapes
 
 HERE = Path(__file__).parent
@@ -272,6 +274,47 @@ def test_another_learned_measure_is_another_design(tmp_path):
     told_by_file(tmp_path, change=1.0)
     assert run(bank, (), tmp_path / "run").check("drift.length").value == pytest.approx(1.0, abs=1e-6)
     assert first.passed
+
+
+def test_a_learned_measure_is_found_from_any_folder_and_moves_with_the_bank(tmp_path, monkeypatch):
+    """Not whatever file of its name lies where one happens to be."""
+    (tmp_path / "here").mkdir()
+    told_by_file(tmp_path / "here")
+    monkeypatch.chdir(tmp_path / "here")
+    measured = {"length": "length.measure:length"}
+    bank = small.bank(small.boxes(measured=measured), store="a.lamp")
+    assert bank.measured_by == {"length": f"{tmp_path}/here/length.measure:length"}
+    monkeypatch.chdir(tmp_path)
+    told_by_file(tmp_path, change=1.0)
+    assert run(bank, ()).check("drift.length").value == pytest.approx(0, abs=1e-6)
+    shutil.move(tmp_path / "here", tmp_path / "there")
+    moved = lampopt.load_bank(tmp_path / "there" / "a.lamp")
+    assert moved.measured_by == {"length": f"{tmp_path}/there/length.measure:length"}
+    assert run(moved, ()).accepted
+
+
+def test_where_a_file_is_named_from_makes_no_other_design(bank, tmp_path, monkeypatch):
+    told_by_file(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    study = Study(bank, TARGET, measures={"drawn": Spec("learned", file="length.measure")})
+    whole = replace(study, measures={"drawn": Spec("learned", file=str(tmp_path / "length.measure"))})
+    one, other = (Task.of(each, small.plugins()).identity for each in (study, whole))
+    assert one == other
+    assert repr(Spec("kkt", ridge=np.float64(1e-6))) == repr(Spec("kkt", ridge=1e-6))
+
+
+@dataclass(frozen=True)
+class Side:
+    side: str = "left"
+    names, units = ("x",), ("L",)
+
+    def __call__(self, mesh):
+        return mesh.extents[:1]
+
+
+def test_an_object_is_told_by_its_options_not_by_how_they_are_held():
+    """Equal texts may be one object here and two in the next process."""
+    assert given(Side("side")) == given(Side("".join(["si", "de"]))) != given(Side("left"))
 
 
 def test_a_learned_address_is_said_where_it_is_wrong(tmp_path):

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from contextlib import closing
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from lampopt import Study
 from lampopt.database import Reader
 from lampopt.errors import InputError, StudyError
 from lampopt.meshfile import FORMATS, load_mesh
+from lampopt.task import Task
 from lampopt.written import export_mesh
 
 HERE = Path(__file__).parent
@@ -271,13 +271,25 @@ def test_a_run_of_schema_1_is_read_as_it_is(tmp_path):
     assert tree(tmp_path / "run") == before
 
 
+def todays_keys(folder, task):
+    """A key holds versions and the files of plugins, this test's own among them: it is made anew here."""
+    with closing(sqlite3.connect(folder / "runs.sqlite")) as database, database:
+        for key, target in database.execute("SELECT key, target FROM designs").fetchall():
+            new = task.key(task.asked(json.loads(target)))
+            database.execute(
+                "UPDATE designs SET key = ?, mesh = replace(mesh, ?, ?) WHERE key = ?", (new, key, new, key)
+            )
+            if (folder / "designs" / key).exists():
+                (folder / "designs" / key).rename(folder / "designs" / new)
+
+
 def test_a_run_of_schema_1_goes_on(tmp_path):
     shutil.copytree(OLD, tmp_path / "run")
     shutil.copy(HERE / "data" / "run_schema1.lamp", tmp_path)
     study = Study.read(tmp_path / "run" / "study.toml")
+    todays_keys(tmp_path / "run", Task.of(study, small.plugins()))
     assert [r.accepted for r in sweep(study, {"length": [2.5, -9.0, 2.9, 2.7]}, tmp_path / "run")][:1] == [True]
-    if version("lampopt") == "0.1.0":  # a design's key holds the version
-        assert small.CALLS["decode"] == 1
+    assert small.CALLS["decode"] == 1
     assert execute(tmp_path / "run") == 2
     with closing(sqlite3.connect(tmp_path / "run" / "runs.sqlite")) as database:
         digests, tasks = zip(*database.execute("SELECT digest, task FROM designs ORDER BY rowid"), strict=True)

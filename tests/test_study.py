@@ -255,6 +255,15 @@ def test_checks_have_options_as_others_have(tmp_path):
         Study("a.lamp", checks=[Spec("slim", name="x")]).to_toml()
 
 
+def test_a_checks_file_is_beside_the_study(tmp_path, monkeypatch):
+    monkeypatch.chdir("/")
+    (tmp_path / "study.toml").write_text("bank = 'a.lamp'\nchecks = ['a', { name = 'wall', file = 'x.txt' }]\n")
+    assert Study.read(tmp_path / "study.toml").checks == ("a", Spec("wall", file=f"{tmp_path}/x.txt"))
+    monkeypatch.chdir(tmp_path)
+    text = Study("a.lamp", checks=[Spec("wall", file="x.txt")]).to_toml()
+    assert Study.from_toml(text, folder=Path("/elsewhere")).checks == (Spec("wall", file=f"{tmp_path}/x.txt"),)
+
+
 def test_a_learned_measures_file_is_beside_the_study(tmp_path, monkeypatch):
     monkeypatch.chdir("/")
     (tmp_path / "study.toml").write_text("bank = 'a.lamp'\n[measured]\na = 'sub/a.measure:a'\nb = 'size.b'\n")

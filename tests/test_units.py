@@ -103,6 +103,20 @@ def test_plain_units_pass(unit, to):
     assert number(f"1 {unit}", to, "x") == pytest.approx(1)
 
 
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [("30 arcmin", "deg", 0.5), ("0.1 turn", "deg", 36), ("5 milliradian", "rad", 0.005), ("60 rpm", "deg/s", 360)],
+)
+def test_angles_by_any_name(text, unit, value):
+    assert number(text, unit, "x") == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(("text", "unit"), [("1 deg/s", "1/s"), ("1 rpm", "Hz"), ("0.1 millirad", "")])
+def test_angles_are_no_plain_numbers(text, unit):
+    with pytest.raises(InputError, match="x: cannot bring"):
+        number(text, unit, "x")
+
+
 @pytest.mark.parametrize("given", [10**400, -(10**400), 10**5000], ids=["large", "negative", "too long to be shown"])
 def test_whole_numbers_beyond_any_float(given):
     with pytest.raises(InputError, match=r"^roof: expected a finite number"):

@@ -87,7 +87,7 @@ class Spec:
         for key, value in options.items():
             if not isinstance(value, (str, int, float, bool)):
                 raise InputError(f"option {key!r} of {name!r}: expected text, a number or a truth value, got {value!r}")
-        assign(self, name=name, options=Table(sorted(options.items())))
+        assign(self, name=name, options=Table((key, _native(value)) for key, value in sorted(options.items())))
 
     def __repr__(self) -> str:
         return f"Spec({', '.join([repr(self.name), *(f'{k}={v!r}' for k, v in self.options.items())])})"
@@ -96,6 +96,12 @@ class Spec:
     def of(cls, choice: str | Spec) -> Spec:
         """`choice` itself, or a name without options."""
         return choice if isinstance(choice, Spec) else cls(choice)
+
+
+def _native(value: Scalar) -> Scalar:
+    """What a subclass such as numpy's stands for."""
+    kinds: tuple[type[str] | type[int] | type[float], ...] = (str, int, float)
+    return value if isinstance(value, bool) else next(kind(value) for kind in kinds if isinstance(value, kind))
 
 
 def _texts(table: object, what: str) -> Table[str]:
