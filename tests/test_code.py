@@ -2,9 +2,9 @@
 
 import importlib
 import sys
+from pathlib import Path
 
 import pytest
-import small
 
 import lampopt
 from lampopt.code import source_of
