@@ -13,6 +13,8 @@ from lampopt.types import Array
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+FEW = 8  # columns in which a tree is quicker than looking at all pairs
+
 
 def sample_surface(mesh: Trimesh, count: int, seed: int = 0) -> Array:
     """(count, 3) points drawn evenly over the surface [mesh unit]."""
@@ -145,6 +147,25 @@ def conformal_quantile(errors: Array, level: float) -> float:
         raise InputError("errors: expected finite numbers")
     place = int(np.ceil(level * (len(sizes) + 1) - 1e-9))  # 0.9 × 10 is a little more than 9 to a computer
     return float(sizes[place - 1]) if place <= len(sizes) else float("inf")
+
+
+def twins(rows: Array, apart: float) -> Array:
+    """(n,) the number of the group of each row (n, d): rows within `apart` of each other in every column share one.
+
+    What was learned from one of them tells the other: no row may be judged by its twin.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    different, place = np.unique(rows, axis=0, return_inverse=True)
+    seen = different
+    if seen.shape[1] > FEW:  # of hundreds of columns a few mixtures will do: rows that differ, differ there
+        seen = seen @ np.random.default_rng(0).normal(size=(seen.shape[1], FEW)) / np.sqrt(seen.shape[1])
+    pairs = KDTree(seen).query_pairs(apart, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(different),) * 2)
+    group: Array = connected_components(links, directed=False)[1]
+    return group[place.ravel()]
 
 
 def _pair(wanted: Array, found: Array) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from lampopt.metrics import (
     minimum_matching_distance,
     r_squared,
     sample_surface,
+    twins,
 )
 from lampopt.testing import shapes
 
@@ -229,3 +230,13 @@ def test_conformal_quantile_covers_as_promised():
     draws = np.random.default_rng(0).normal(size=(20_000, 20))
     inside = [abs(d[19]) <= conformal_quantile(d[:19], 0.9) for d in draws]
     assert np.mean(inside) == pytest.approx(0.9, abs=0.01)
+
+
+@pytest.mark.parametrize("columns", [1, 3, 40])
+def test_twins_are_found_however_many_columns_there_are(columns):
+    rng = np.random.default_rng(2)
+    rows = rng.normal(size=(30, columns))
+    place = rng.permutation(np.repeat(np.arange(30), [1, 2, 3] * 10))
+    group = twins(rows[place] + 1e-8 * rng.uniform(-1, 1, (60, columns)), 1e-6)
+    assert len(set(group)) == 30
+    assert all(len(set(group[place == i])) == 1 for i in range(30))

@@ -334,6 +334,25 @@ def test_leaving_one_out_by_formula_is_leaving_one_out():
         np.testing.assert_allclose(values[i, 0] - model.predict(features[[i]])[0], errors[i, 0], rtol=1e-5)
 
 
+def test_a_mesh_given_more_than_once_is_left_out_as_a_whole():
+    """Against fits of scikit-learn's own without any copy, at the same width and ridge; and by LASSO."""
+    from sklearn.kernel_ridge import KernelRidge
+
+    rng = np.random.default_rng(4)
+    once, noise = rng.normal(size=(20, 3)), rng.normal(size=(20, 1))
+    copies = np.repeat(np.arange(20), [1, 2, 3, 1] * 5)
+    features, values = once[copies] * (1 + 1e-9 * rng.normal(size=(len(copies), 1))), noise[copies]
+    sharpness, weights, errors = kernel_ridge(features, values)
+    kernel = np.exp(-sharpness[0] * ((features[:, None] - features) ** 2).sum(axis=2))
+    ridge = ((values - kernel @ weights) / weights).mean()
+    for shape in (0, 1, 2):
+        out = copies == shape
+        model = KernelRidge(alpha=ridge, kernel="rbf", gamma=sharpness[0]).fit(features[~out], values[~out, 0])
+        np.testing.assert_allclose(values[out, 0] - model.predict(features[out]), errors[out, 0], rtol=1e-3)
+    assert (errors**2).mean() > 0.5 * values.var()  # noise cannot be told
+    assert (lasso(features, values, 10, 0)[2] ** 2).mean() > 0.5 * values.var()
+
+
 @pytest.mark.parametrize(("shapes", "alike"), [(200, 1e-2), (200, 0.0), (30, 1e-2)])
 def test_lasso_paths_are_those_of_its_optimality_conditions(shapes, alike):
     """Tibshirani 1996: Xᵀ(y − Xw − b) / n = penalty · sign(w) where w is not 0, no larger elsewhere; twins included."""

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampopt.errors import InputError
+from lampopt.metrics import twins
 from lampopt.types import Array, frozen_array
 
 from .curve import check_arrays, check_range
 
 FEWEST = 3  # rows with a label: fewer leave nothing to check a model by
 LARGEST = 1e100  # a value whose square is a number
+TWINS = 1e-6  # deviations: what tables and single precision lose of a parameter
 FARTHEST = 1e30  # deviations: no use beyond, and squares and products of so many are numbers
 
 
@@ -111,12 +113,12 @@ class Scale:
 
 
 def folds_of(parameters: Array, folds: int, seed: int) -> Array:
-    """Which of `folds` parts each row (n,) belongs to; rows with equal parameters share one, so that none tells of it.
+    """Which of `folds` parts each row (n,) belongs to; twins share one, so that none tells of the other.
 
-    Fewer parts than `folds` where there are not as many different rows.
+    Parameters (n, d) come scaled: twins differ by no more than tables round. Fewer parts than `folds` where there are
+    not as many different rows.
     """
-    _, group = np.unique(parameters, axis=0, return_inverse=True)
-    group = group.ravel()
+    group = twins(parameters, TWINS)
     count = int(group.max()) + 1
     order = np.random.default_rng(seed).permutation(count)
     parts: Array = (order % min(folds, count))[group]

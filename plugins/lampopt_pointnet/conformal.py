@@ -6,18 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lampopt.metrics import conformal_quantile
+from lampopt.metrics import conformal_quantile, twins
 from lampopt.types import Array
 
 ALARMS = 0.03  # share of shapes such as those learned from that may be taken for outside
 MOST = 50  # principal directions that distance is taken in
 FOLDS = 5
+TWINS = 1e-5  # standard deviations that features of one shape differ by at most
 TINY = 1e-12  # least singular value, where a fold leaves meshes that hardly differ
 
 
-def folds(count: int, number: int, seed: int) -> Array:
-    """(count,) the fold of each row, all of nearly one size."""
-    return np.random.default_rng(seed).permutation(count) % min(number, count)
+def same_shapes(features: Array) -> Array:
+    """(n,) the number of the shape of each row of standardised features (n, F): a mesh may be given more than once."""
+    return twins(features, TWINS)
+
+
+def folds(group: Array, number: int, seed: int) -> Array:
+    """(n,) the fold of each row, all of nearly one size; rows of one group share one: none tells of the other."""
+    count = int(group.max()) + 1
+    parts: Array = (np.random.default_rng(seed).permutation(count) % min(number, count))[group]
+    return parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +50,7 @@ class Region:
     @classmethod
     def of(cls, features: Array, seed: int) -> Region:
         """The region of standardised features (n, F), its limit from distances found by cross-validation."""
-        fold = folds(len(features), FOLDS, seed)
+        fold = folds(same_shapes(features), FOLDS, seed)
         # as many directions in every fold as in the end: distances of one kind
         most = min(MOST, max(1, (len(features) - int(np.bincount(fold).max())) // 8))
         distances = np.zeros(len(features))

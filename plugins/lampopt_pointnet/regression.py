@@ -13,7 +13,7 @@ import numpy as np
 
 from lampopt.types import Array
 
-from .conformal import folds
+from .conformal import folds, same_shapes
 
 PENALTIES = np.geomspace(1, 1e-4, 40)  # of the one that leaves no feature in
 KNOTS = 8  # steps of a path for each feature, at most; a path takes about half as many as there are features
@@ -87,7 +87,7 @@ def lasso(features: Array, values: Array, number: int, seed: int) -> tuple[Array
 
     The penalty of each value is the best of a path by cross-validation in `number` folds, whose errors these are.
     """
-    fold, middle = folds(len(values), number, seed), features.mean(axis=0)
+    fold, middle = folds(same_shapes(features), number, seed), features.mean(axis=0)
     found = []
     for column in values.T:
         penalties = PENALTIES * np.abs((features - middle).T @ column).max() / len(column)
@@ -142,8 +142,8 @@ def lasso_path(features: Array, values: Array, penalties: Array) -> tuple[Array,
 def kernel_ridge(features: Array, values: Array) -> tuple[Array, Array, Array]:
     """Sharpness (q,), weights (n, q) and leave-one-out errors (n, q) of kernel ridge regression for values (n, q).
 
-    Width and ridge of each value are those with the least errors. Leaving out row i leaves an error of
-    w_i / (K + λ)⁻¹_ii, without a fit of its own.
+    Width and ridge of each value are those with the least errors. Leaving out row i leaves an error of w_i / H_ii with
+    H = (K + λ)⁻¹, without a fit of its own; leaving out all rows I of one shape, H_II⁻¹ w_I.
     """
     from sklearn.kernel_ridge import KernelRidge
     from sklearn.metrics.pairwise import euclidean_distances, rbf_kernel
@@ -151,6 +151,7 @@ def kernel_ridge(features: Array, values: Array) -> tuple[Array, Array, Array]:
     squared = euclidean_distances(features, squared=True)
     apart = squared[np.triu_indices(len(values), 1)]
     typical = float(np.median(apart[apart > 1e-9 * apart.max()]))  # the same mesh may be there more than once
+    together = [rows for rows in _groups(same_shapes(features)) if len(rows) > 1]
     least, sharpness, ridge = np.full(values.shape[1], np.inf), *np.ones((2, values.shape[1]))
     errors = np.zeros(values.shape)
     for width in WIDTHS:
@@ -159,7 +160,10 @@ def kernel_ridge(features: Array, values: Array) -> tuple[Array, Array, Array]:
         turned = ways.T @ values
         for penalty in RIDGES:
             inverse = 1 / (np.maximum(sizes, 0) + penalty)
-            left = ways @ (inverse[:, None] * turned) / (ways**2 @ inverse)[:, None]
+            told = ways @ (inverse[:, None] * turned)
+            left = told / (ways**2 @ inverse)[:, None]
+            for rows in together:
+                left[rows] = np.linalg.solve((ways[rows] * inverse) @ ways[rows].T, told[rows])
             score = (left**2).mean(axis=0)
             better = score < least
             least[better], sharpness[better], ridge[better] = score[better], gamma, penalty
@@ -167,3 +171,9 @@ def kernel_ridge(features: Array, values: Array) -> tuple[Array, Array, Array]:
     models = [KernelRidge(alpha=r, kernel="rbf", gamma=g) for g, r in zip(sharpness, ridge, strict=True)]
     fitted = [model.fit(features, column).dual_coef_ for model, column in zip(models, values.T, strict=True)]
     return sharpness, np.stack(fitted, axis=-1), errors
+
+
+def _groups(number: Array) -> list[Array]:
+    """The rows of each group, by the numbers (n,) of their groups."""
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
