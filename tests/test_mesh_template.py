@@ -281,6 +281,18 @@ def test_points_moved_in_blocks_go_where_they_go_together(variant, monkeypatch):
     assert decoder.displace(shared, weights, np.empty((0, 3))).shape == (0, 3)
 
 
+def test_shapes_beside_the_plane_of_symmetry_are_refused():
+    """They would be met by one as wide as they and their mirror images together."""
+    decoder = MeshTemplate(faces=500, cell=0.3, tolerance=0, symmetry="y")
+    here, beside = shapes.box([0.8, 0.5, 0.4]), shapes.box([0.8, 0.5, 0.4], centre=[0, 0.1, 0])
+    with pytest.raises(FitError, match=r"symmetry='y': expected its middle along y .* 20% of the width beside"):
+        decoder.prepare([here, beside], mean=here, seed=0)
+    shared = decoder.prepare([here, here], mean=here, seed=0)
+    with pytest.raises(FitError, match="move it there, or leave symmetry out"):
+        decoder.fit(shared, [beside], seed=0)
+    assert decoder.fit(shared, [shapes.box([0.8, 0.5, 0.4], centre=[0.1, 0.004, 0])], seed=0)[1][0] < 0.01
+
+
 def test_symmetric_designs_are_their_own_mirror_images(variant):
     """Exactly, whatever the exemplar is, and with the faces turned over."""
     decoder, shared, weights = variant

@@ -79,7 +79,17 @@ def test_columns_left_out_are_logged(folder, caplog):
     assert "left out: maker" in caplog.text
 
 
-@pytest.mark.parametrize("cells", [("1,200", "1,250", "1,300"), ("\u22123", "\u22122.5", "3"), ("1 200.5", "900", "x")])
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ("1,200", "1,250", "1,300"),
+        ("\u22123", "\u22122.5", "3"),
+        ("1 200.5", "900", "x"),
+        ("1,5", "1,7", "2,0"),
+        ("15 %", "16%", "17%"),
+        ("1.5D+00", "2D1", "3d-2"),
+    ],
+)
 def test_numbers_as_people_write_them_are_told_not_left_out(folder, cells):
     rows = "".join(f'{name}.stl,4.0,"{cell}"\n' for name, cell in zip("abc", cells, strict=True))
     said = refused(folder, "mesh,length [m],mass\n" + rows)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 STIFFEST = 1.0  # what registration begins with: hardly more than an affine map
 STEP = 100.0  # each stiffness over the next one
 MARGIN = 0.05  # of the lattice around the template [template's size]
+BESIDE = 0.02  # of the template's width, that an exemplar's middle may be beside its plane of symmetry
 PILOTS = 6  # exemplars that are registered to find where the lattice wants to be finer
 log = logging.getLogger("lampopt")
 T = TypeVar("T")
@@ -104,7 +105,10 @@ class MeshTemplate:
                 f"{called(mean)}: expected a closed mesh as the template's, got one that is open: "
                 "close it (`lampopt wrap`)"
             )
-        sizes = [_size(_alike(mesh, wanted)) for mesh in meshes]  # one mesh at a time: there may be thousands
+        sizes = []
+        for mesh in meshes:  # one at a time: there may be thousands
+            self._expect_one_plane(mesh, mean.bounds)
+            sizes.append(_size(_alike(mesh, wanted)))
         template = self._template(mean)
         pilots = [Surface.of(_alike(meshes[i], wanted)) for i in _outer(np.array(sizes))]
         registration = self._registration(template)
@@ -124,7 +128,10 @@ class MeshTemplate:
         wanted, registration = topology(template.mesh(template.surface.vertices)), self._registration(template)
         said = progress or (lambda done, message="", /: None)
 
+        bounds = np.array([template.surface.vertices.min(0), template.surface.vertices.max(0)])
+
         def fitted(mesh: Trimesh) -> tuple[Array, float]:
+            self._expect_one_plane(mesh, bounds)
             target = Surface.of(_alike(mesh, wanted))
             weights = self._onto(template, registration, target, seed).astype(np.float32)
             made = Surface(template.moved(weights), template.surface.faces)
@@ -169,6 +176,22 @@ class MeshTemplate:
     def design_checks(self, shared: Shared, weights: Array, mesh: Trimesh) -> Sequence[Check]:
         """Whether the moved template is a sound surface."""
         return health_checks(self._of(shared), weights, np.asarray(mesh.vertices))
+
+    def _expect_one_plane(self, mesh: Trimesh, of: Array) -> None:
+        """FitError where the middle of `mesh` is not where that of the template with bounds `of` (2, 3) is.
+
+        One plane is all shapes': a shape beside it would be met by one as wide as it and its mirror image together.
+        """
+        if not self.symmetry:
+            return
+        axis = AXES.index(self.symmetry)
+        (low, high), (own_low, own_high) = of[:, axis], np.asarray(mesh.bounds)[:, axis]
+        off = abs(own_low + own_high - low - high) / 2 / (high - low)
+        if off > BESIDE:
+            raise FitError(
+                f"{called(mesh)}: symmetry={self.symmetry!r}: expected its middle along {self.symmetry} where the "
+                f"template's is, got it {off:.0%} of the width beside it: move it there, or leave symmetry out"
+            )
 
     def _of(self, shared: Shared) -> Template:
         return Template.of(shared, detailed=self.detail > 0)
