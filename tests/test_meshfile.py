@@ -93,3 +93,22 @@ def test_what_is_indented_is_held_against_its_promises_too(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n  f 0 1 2\n")
     with pytest.raises(InputError, match="count from 1, got 0"):
         load_mesh(tmp_path / "a.obj")
+
+
+L_SHAPE = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], float)
+
+
+@pytest.mark.parametrize(("first", "folded"), [(0, True), (1, True), (3, False)])
+def test_a_polygon_that_is_not_convex_is_told(tmp_path, caplog, first, folded):
+    """An L-shaped prism with one polygon for each cap: right only if the fan begins at the corner that goes inward."""
+    top = np.roll(np.arange(6), -first)
+    faces = [top + 6, top[::-1], *([i, (i + 1) % 6, (i + 1) % 6 + 6, i + 6] for i in range(6))]
+    if not folded:
+        faces[1] = np.array([3, 2, 1, 0, 5, 4])
+    vertices = np.concatenate([np.column_stack([L_SHAPE, np.full(6, z)]) for z in (0.0, 1.0)])
+    lines = ["v {} {} {}".format(*v) for v in vertices] + ["f " + " ".join(str(i + 1) for i in f) for f in faces]
+    (tmp_path / "l.obj").write_text("\n".join(lines))
+    mesh = load_mesh(tmp_path / "l.obj")
+    assert mesh.volume == pytest.approx(3)
+    assert ("lie back on their neighbours" in caplog.text) == folded
+    assert (abs(mesh.area - 14) > 0.5) == folded

@@ -6,6 +6,7 @@ before, by a guard for each format; of what a parser returns, vertices, faces an
 
 from __future__ import annotations
 
+import logging
 from math import ceil, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lampopt.errors import InputError
+from lampopt.meshfile.polygons import folded_back, may_have
 from lampopt.reading import brief, content, why
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf", ".3mf", ".dae")  # that are read
 FORMATS = ("stl", "obj", "ply", "glb")  # that are written
+log = logging.getLogger("lampopt")
 
 
 def load_mesh(path: str | Path) -> Trimesh:
@@ -61,6 +64,12 @@ def load_mesh(path: str | Path) -> Trimesh:
         join(mesh)
     except InputError as error:
         raise InputError(f"{what}: {error}") from error
+    if may_have(data, suffix) and (folded := folded_back(mesh.vertices, mesh.faces)):
+        log.warning(
+            "%s: %d triangles lie back on their neighbours, as where a polygon that is not convex is cut into a fan: "
+            "areas and distances are false there; triangulate it before",
+            *(what, folded),
+        )
     return mesh
 
 
