@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 FLAT = 1e-9  # share of all volume below which a part has none
+CAVITY = 0.98  # share of a part's faces within another from which on it is a cavity there; what sticks out is none
 TIE = 1e-9  # share of a size within which two vertices are equally far out
 SMALLEST, LARGEST = 1e-50, 1e50  # sizes whose fifth powers, as moments of inertia are, still are numbers
 
@@ -137,7 +138,7 @@ def inside_out(vertices: Array, faces: Array, part: Array, volume: Array) -> Arr
     suspect = hollow[part]
     within = igl.fast_winding_number(vertices, solids, vertices[faces[suspect]].mean(axis=1)) > 0.5
     inside, every = (np.bincount(part[suspect], each, len(volume)) for each in (within, np.ones(suspect.sum())))
-    return np.flatnonzero(hollow & (inside < every / 2))
+    return np.flatnonzero(hollow & (inside < CAVITY * every))
 
 
 def enclosed_volume(mesh: Trimesh) -> float:
