@@ -21,11 +21,11 @@ from lampopt import lamp
 from lampopt.errors import BankError, InputError
 from lampopt.fitting import Fitting, InBox, probe_values, ranged
 from lampopt.intake import Facts, Intake, intake
-from lampopt.measured import measure_all, whole_address
+from lampopt.measured import measure_all
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins, returned
 from lampopt.protocols import Decoder, Progress, Shared
-from lampopt.reading import path_of
+from lampopt.reading import path_of, readdressed
 from lampopt.types import Array, Bank, Exemplars, Frame, Scalar, Spec
 from lampopt.units import whole
 
@@ -100,7 +100,10 @@ def build_bank(
     report = looked_at(exemplars, accept, finished=path is not None and path.exists(), progress=progress)
     exemplars, facts = report.exemplars, report.facts
     plan = _plan(exemplars, facts, f"{spec!r} of {plugins.get('decoder', spec.name).exactly}", seed, batch, probes)
-    measured_by = {name: whole_address(address) for name, address in {**exemplars.measured, **(measured or {})}.items()}
+    measured_by = {
+        name: readdressed(address, lambda file: str(Path(file).absolute()))  # it is read from other folders too
+        for name, address in {**exemplars.measured, **(measured or {})}.items()
+    }
     if path is not None and path.exists():
         return _finished(path, plan, exemplars, measured_by, limits, plugins)
     values = measure_all(exemplars, measured_by, plugins)

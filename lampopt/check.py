@@ -18,7 +18,6 @@ from lampopt.errors import (
     BankError,
     EmptyMesh,
     InputError,
-    LampoptError,
     MeasureError,
     PluginError,
     StudyError,
@@ -345,20 +344,20 @@ def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker],
     Raises
     ------
     PluginError
-        If one raises anything but MeasureError or EmptyMesh, or returns no checks.
+        If one raises anything but MeasureError or EmptyMesh, or returns no checks; its name is told.
     """
     found: list[Check] = []
     for name, checker in checkers.items():
         if checker.needs != needs:
             continue
         try:
-            found += _checks(f"check {name!r}", checker(bank, design))
+            answer = checker(bank, design)
         except (MeasureError, EmptyMesh) as error:
             found.append(Check(name, float("nan"), "=", 1.0, "", needs, f"cannot judge: {error}", may_pass(error)))
-        except LampoptError:
-            raise
         except Exception as error:  # whatever a stranger's checker raises
             raise PluginError(f"check {name!r}: raised {error!r}") from error
+        else:
+            found += _checks(f"check {name!r}", answer)
     return found
 
 

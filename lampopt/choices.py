@@ -11,10 +11,12 @@ from typing import Any
 
 from lampopt.errors import InputError, StudyError
 from lampopt.protocols import Measure, Model
+from lampopt.reading import readdressed
 from lampopt.types import Scalar, Spec
 from lampopt.units import said
 
 Value = float | str  # in the bank's unit, or with its own
+CHECKS = "checks: expected a list of names, or of Spec(name, ...) with options"
 GIVEN = "given-in-python"  # stands in TOML for a measure that was given as an object
 
 
@@ -48,10 +50,12 @@ def spec_of(table: Mapping[str, Scalar], what: str) -> Spec:
 
 def checks_of(given: object) -> tuple[str | Spec, ...]:
     """Checks of plugins by name, or as a Spec where they have options; each once. Raises StudyError."""
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise StudyError(f"{CHECKS}, got {said(given)}")
     found: list[str | Spec] = []
-    for choice in given if isinstance(given, Sequence) and not isinstance(given, str) else [None]:
+    for choice in given:
         if not isinstance(choice, str | Spec | Mapping):
-            raise StudyError(f"checks: expected a list of names, or of Spec(name, ...) with options, got {said(given)}")
+            raise StudyError(f"{CHECKS}, got {said(given)}")
         found.append(spec_of(choice, "checks") if isinstance(choice, Mapping) else choice)
     names_of([Spec.of(choice).name for choice in found], "checks")
     return tuple(found)
@@ -59,12 +63,14 @@ def checks_of(given: object) -> tuple[str | Spec, ...]:
 
 def written_checks(checks: Sequence[str | Spec]) -> list[str | dict[str, Any]]:
     """For TOML: a name alone where it says it all."""
-    for choice in checks:
-        if isinstance(choice, Spec) and "name" in choice.options:
-            raise StudyError(f"checks: {choice} has an option `name`, which TOML could not tell from its own")
-    return [
-        choice if isinstance(choice, str) else {"name": choice.name, **absolute(choice).options} for choice in checks
-    ]
+    return [choice if isinstance(choice, str) else _written(choice, "checks") for choice in checks]
+
+
+def _written(choice: Spec, what: str) -> dict[str, Any]:
+    """A Spec as a TOML table. Raises StudyError naming `what` where TOML could not tell its name from an option."""
+    if "name" in choice.options:
+        raise StudyError(f"{what}: {choice} has an option `name`, which TOML could not tell from its own")
+    return {"name": choice.name, **absolute(choice).options}
 
 
 def table_beside(choice: Any, what: str, folder: Path | None) -> Any:
@@ -101,13 +107,11 @@ def written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict
     """For TOML: names alone where they say it all; an object by its class, which cannot be made again from it."""
     if all(isinstance(choice, Spec) and choice == Spec(name) for name, choice in measures.items()):
         return list(measures)
-    found: dict[str, Any] = {}
-    for name, choice in measures.items():
-        if isinstance(choice, Spec) and "name" in choice.options:
-            raise StudyError(f"measures: {name}: {choice} has an option `name`, which TOML could not tell from its own")
-        options = absolute(choice).options if isinstance(choice, Spec) else {"of": _class(choice)}
-        found[name] = {"name": choice.name if isinstance(choice, Spec) else GIVEN, **options}
-    return found
+    objects = {name: {"name": GIVEN, "of": _class(one)} for name, one in measures.items() if not isinstance(one, Spec)}
+    return {
+        name: _written(one, f"measures: {name}") if isinstance(one, Spec) else objects[name]
+        for name, one in measures.items()
+    }
 
 
 def models_of(given: object) -> Mapping[str, str | Model]:
@@ -143,7 +147,9 @@ def beside(choice: Spec, folder: Path | None) -> Spec:
 
 def beside_address(address: Any, folder: Path | None) -> Any:
     """`address` of a measured value with the file that it may name, as in `ramp.measure:ramp`, taken from `folder`."""
-    return str(folder / address) if folder is not None and isinstance(address, str) and ":" in address else address
+    if folder is None or not isinstance(address, str):
+        return address
+    return readdressed(address, lambda file: str(folder / file))
 
 
 def absolute(choice: Spec) -> Spec:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import io
 import sys
 import tokenize
 import uuid
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -17,20 +17,35 @@ from pathlib import Path
 def source_of(cls: type) -> str:
     """A hash of the file that defines a class, with all that it may call there, but for comments and empty lines.
 
-    Of the file as it is when it is first asked for. Of what cannot be read a hash that is nobody else's.
+    Of the file as it is when it is first asked for: a process goes on with what it has imported. "" of a class that has
+    no file, as it was typed at a prompt.
     """
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    module = sys.modules.get(cls.__module__)
+    file, loader = getattr(module, "__file__", None), getattr(module, "__loader__", None)
+    if file is None:
+        return ""
+    read: Callable[[str], bytes] = getattr(loader, "get_data", lambda path: Path(path).read_bytes())  # an archive's too
     try:
-        content = Path(file).read_bytes() if file else inspect.getsource(cls).encode()
-    except (OSError, TypeError):
-        return uuid.uuid4().hex
+        content = read(file)
+    except OSError:
+        return ""
     with suppress(SyntaxError, UnicodeDecodeError, tokenize.TokenError):  # it is no Python
         content = _uncommented(content.decode()).encode()
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
+def definition_of(cls: type) -> str:
+    """As `source_of`; of what has no file it is nobody else's, so that no recorded result is taken for its own."""
+    return source_of(cls) or _nobody_elses(cls)
+
+
+@cache
+def _nobody_elses(cls: type) -> str:
+    return uuid.uuid4().hex
+
+
 def _uncommented(text: str) -> str:
-    lines = text.splitlines()
+    lines = text.split("\n")  # as tokens count them: a form feed ends no line
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
             line, column = token.start

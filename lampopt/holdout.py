@@ -19,7 +19,7 @@ from lampopt.mix import mixed_weights, predicted
 from lampopt.plugins import Plugins
 from lampopt.protocols import Decoder, Solver
 from lampopt.solve import Posed, pose, solve
-from lampopt.types import Array, Bank, Check, Design, Exemplars
+from lampopt.types import ROUNDING, Array, Bank, Check, Design, Exemplars
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -165,8 +165,8 @@ def own(bank: Bank, exemplars: Exemplars, *, altered: bool = False) -> Exemplars
         raise InputError(f"{what}, {', '.join(missing)} missing")
     rows = [place[name] for name in bank.names]
     quantities = [(q.name, q.unit) for q in exemplars.space]
-    if quantities != [(q.name, q.unit) for q in bank.space] or not np.array_equal(
-        exemplars.parameters[rows], bank.parameters
+    if quantities != [(q.name, q.unit) for q in bank.space] or not np.allclose(
+        exemplars.parameters[rows], bank.parameters, rtol=ROUNDING, atol=0
     ):
         raise InputError(f"{what}, got other parameters")
     report = intake(chosen(exemplars, rows), accept="all", fellows=False, crossings=False)

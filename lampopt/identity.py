@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import hashlib
 import json
 import pickle
@@ -11,9 +12,10 @@ import numpy as np
 
 from lampopt import lamp
 from lampopt.choices import absolute
-from lampopt.code import source_of
+from lampopt.code import definition_of
 from lampopt.plugins import Plugins
 from lampopt.protocols import External, Measure, Model, State
+from lampopt.reading import unplaced
 from lampopt.types import Bank, Spec
 
 
@@ -22,7 +24,7 @@ def contents(bank: Bank) -> dict[str, object]:
     return {
         "space": [str(q) for q in (*bank.space, *bank.label_space)],
         "names": bank.names,
-        "measured_by": dict(bank.measured_by),
+        "measured_by": {name: unplaced(address) for name, address in bank.measured_by.items()},
         "mesh_facts": dict(bank.mesh_facts),
         "frame": [bank.frame.scale, bank.frame.centre.tolist(), bank.frame.unit],
         "bank": [lamp.digest(getattr(bank, name)) for name in lamp.PLAIN],
@@ -49,18 +51,19 @@ def whole(bank: Bank) -> str:
 def offered(kind: str, choice: str | Spec, plugins: Plugins) -> list[str]:
     """What tells a plugin's object from others: who offers it, the file that defines it, with which options."""
     spec = Spec.of(choice)
-    return [*plugins.get(kind, spec.name).exactly, repr(absolute(spec))]
+    offer = plugins.get(kind, spec.name)
+    return [str(offer), definition_of(offer.resolve()), repr(absolute(spec))]
 
 
 def told(choice: Spec | Measure, measure: Measure, plugins: Plugins) -> list[str]:
     """What tells a measure from others: as `offered`; what it has learned, wherever the file of that lies.
 
-    Of an `External` one, whose values are its program's and dear, who offers it, and the options that they depend on.
+    Of an `External` one the options that its values depend on.
     """
     if not isinstance(choice, Spec):
         return given(choice)
     if isinstance(measure, External):
-        return [str(plugins.get("measure", choice.name)), repr(Spec(choice.name, **measure.depends_on()))]
+        return offered("measure", Spec(choice.name, **measure.depends_on()), plugins)
     if not isinstance(measure, State):
         return offered("measure", choice, plugins)
     choice = Spec(choice.name, **{name: value for name, value in choice.options.items() if name != "file"})
@@ -74,25 +77,36 @@ def learned(measure: Measure | Model) -> str:
     return hashed([[name, lamp.digest(np.asarray(array))] for name, array in sorted(measure.state().items())])
 
 
-def given(measure: Measure | Model) -> list[str]:
-    """A measure given as an object: its class, the file that defines it, its options.
+def asked_program(choice: Spec | Measure, measure: External, plugins: Plugins) -> list[str]:
+    """What tells an `External` measure from others where its values are too dear to be lost to an edit of its code."""
+    who = str(plugins.get("measure", choice.name)) if isinstance(choice, Spec) else type(choice).__qualname__
+    return [who, hashed(sorted(measure.depends_on().items()))]
 
-    Of an `External` one those that its values depend on, whatever file. What cannot be pickled may be anything: no
-    recorded result is taken for its own.
+
+def given(measure: Measure | Model) -> list[str]:
+    """A measure given as an object: its class, the file that defines it, its state.
+
+    Of an `External` one the options that its values depend on. What cannot be pickled may be anything: no recorded
+    result is taken for its own.
     """
     cls = type(measure)
-    who = [cls.__module__, cls.__qualname__]
+    who = [cls.__module__, cls.__qualname__, definition_of(cls)]
     if isinstance(measure, External):
         return [*who, hashed(sorted(measure.depends_on().items()))]
     if isinstance(measure, State):
-        return [*who, source_of(cls), learned(measure)]
+        return [*who, learned(measure)]
     try:
-        options = measure.__reduce_ex__(4)[2]  # each by itself: a pickle of all says which of them are one object
-        by_name = options if isinstance(options, dict) else {"": measure}
-        pickled = {str(name): hashlib.blake2b(pickle.dumps(value)).hexdigest() for name, value in by_name.items()}
+        return [*who, _state_of(measure)]
     except Exception:  # noqa: BLE001  # whatever a stranger's __reduce__ raises
         return [*who, uuid.uuid4().hex]
-    return [*who, source_of(cls), hashed(pickled)]
+
+
+def _state_of(given: object) -> str:
+    """A hash of what an object holds, part by part where it can be: a pickle of all also says which parts are one."""
+    made = given.__reduce_ex__(4)
+    plain = isinstance(made, tuple) and made[:2] == (copyreg.__newobj__, (type(given),)) and not any(made[3:])  # type: ignore[attr-defined]  # typeshed lacks it
+    parts = made[2] if plain and isinstance(made[2], dict) else {"": given}
+    return hashed({str(name): hashlib.blake2b(pickle.dumps(value)).hexdigest() for name, value in parts.items()})
 
 
 def hashed(value: object) -> str:

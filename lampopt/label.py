@@ -24,7 +24,7 @@ from lampopt.crew import Crew, lost
 from lampopt.decode import decode
 from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, SweepError, may_pass
 from lampopt.fitting import ranged
-from lampopt.identity import hashed, told
+from lampopt.identity import asked_program, hashed, told
 from lampopt.identity import whole as all_of
 from lampopt.measured import values_of
 from lampopt.partial import Partial
@@ -109,7 +109,7 @@ def label(
     names = _names(called, made, values)
     if taken := [name for name in names if name in {q.name for q in bank.space}]:
         raise InputError(f"values: {taken[0]!r} is a parameter of this bank: call the label otherwise")
-    who = told(choice, made, plugins)
+    who = asked_program(choice, made, plugins) if isinstance(made, External) else told(choice, made, plugins)
     plan = hashed({"bank": all_of(bank), "label": names, "by": who, "resolution": resolution})
     path = None if store is None else path_of(store, "store")
     if path is not None and path.exists():

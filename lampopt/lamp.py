@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lampopt.errors import BankError, InputError
-from lampopt.reading import brief, path_of, plain_file, why
+from lampopt.reading import brief, path_of, plain_file, readdressed, why
 from lampopt.types import Array, Bank, Calibration, Frame, LowRank, Parameter, Spec
 
 FORMAT = "lampopt bank"
@@ -192,10 +192,10 @@ def _mapped(path: Path, size: int, body: int, name: str, entry: Mapping[str, Any
         ) from error
 
 
-def _moved(address: str, way: Callable[[str], str]) -> str:
-    """The address of a measured value, the file of a learned measure that it may name by another way."""
-    file, sign, value = address.rpartition(":") if isinstance(address, str) else ("", "", "")
-    return f"{way(file)}{sign}{value}" if file else address
+def _from_here(file: str, folder: Path) -> str:
+    """The way from `folder` to a file in it or below, so that they may move together; else its whole path."""
+    whole, folder = Path(file).resolve(), folder.resolve()
+    return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)
 
 
 def store_bank(bank: Bank, path: str | Path) -> Bank:
@@ -217,8 +217,8 @@ def store_bank(bank: Bank, path: str | Path) -> Bank:
         "names": list(bank.names),
         "frame": {"scale": bank.frame.scale, "centre": bank.frame.centre.tolist(), "unit": bank.frame.unit},
         "decoder": {"name": bank.decoder.name, "options": dict(bank.decoder.options)},
-        "measured_by": [  # in the order of `measured`; files of learned measures by their way from this one
-            [name, _moved(address, lambda file: os.path.relpath(file, path.parent.absolute()))]
+        "measured_by": [  # in the order of `measured`
+            [name, readdressed(address, lambda file: _from_here(file, path.parent))]
             for name, address in bank.measured_by.items()
         ],
         "mesh_facts": dict(bank.mesh_facts),
@@ -258,7 +258,7 @@ def load_bank(path: str | Path) -> Bank:
             frame=Frame(**record["frame"]),
             decoder=Spec(record["decoder"]["name"], **record["decoder"]["options"]),
             measured_by={
-                name: _moved(address, lambda file: os.path.normpath(path.parent.absolute() / file))
+                name: readdressed(address, lambda file: str(path.parent.absolute() / file))
                 for name, address in dict(record["measured_by"]).items()
             },
             mesh_facts=record["mesh_facts"],

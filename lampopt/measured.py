@@ -6,7 +6,6 @@ A parameter that no measure tells directly may be told by a learned one, `ramp.m
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -151,12 +150,6 @@ def split_address(address: str) -> tuple[str, str]:
     if not measure:
         raise InputError(f"measured value {address!r}: expected 'measure.value', or 'file:value' of a learned one")
     return measure, value
-
-
-def whole_address(address: str) -> str:
-    """`address` with the file that it may name by its whole path: it is read from other folders too."""
-    file, sign, value = address.rpartition(":")
-    return f"{Path(file).absolute()}{sign}{value}" if file else address
 
 
 def resolve_address(address: str, plugins: Plugins) -> tuple[str, Measure, int]:

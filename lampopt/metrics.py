@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 FEW = 8  # columns in which a tree is quicker than looking at all pairs
+DEVIATIONS = 6  # of a random mixture: farther apart are no two rows within one of each other
 
 
 def sample_surface(mesh: Trimesh, count: int, seed: int = 0) -> Array:
@@ -158,11 +159,15 @@ def twins(rows: Array, apart: float) -> Array:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
+    if not rows.shape[1]:
+        return np.zeros(len(rows), int)
     different, place = np.unique(rows, axis=0, return_inverse=True)
-    seen = different
-    if seen.shape[1] > FEW:  # of hundreds of columns a few mixtures will do: rows that differ, differ there
+    seen, reach = different, apart
+    if seen.shape[1] > FEW:  # of hundreds of columns a few mixtures tell which pairs there are to be looked at
         seen = seen @ np.random.default_rng(0).normal(size=(seen.shape[1], FEW)) / np.sqrt(seen.shape[1])
-    pairs = KDTree(seen).query_pairs(apart, p=np.inf, output_type="ndarray")
+        reach = DEVIATIONS * apart
+    pairs = KDTree(seen).query_pairs(reach, p=np.inf, output_type="ndarray")
+    pairs = pairs[(np.abs(different[pairs[:, 0]] - different[pairs[:, 1]]) <= apart).all(axis=1)]
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(different),) * 2)
     group: Array = connected_components(links, directed=False)[1]
     return group[place.ravel()]

@@ -62,8 +62,7 @@ class Offer:
             Naming the plugin and the cause.
         """
         if isinstance(self.target, type):
-            source_of(self.target)
-            return self.target
+            return self._remembered(self.target)
         try:
             module, _, attribute = self.target.partition(":")
             found = getattr(importlib.import_module(module), attribute)
@@ -73,6 +72,10 @@ class Offer:
             raise PluginError(
                 f"{self.kind} {self.name!r} of {self}: expected a class at {self.target!r}, got {found!r}"
             )
+        return self._remembered(found)
+
+    @staticmethod
+    def _remembered(found: type) -> type:
         source_of(found)  # now that it was read: the file may be edited while this process goes on
         return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 from lampopt.errors import InputError
@@ -66,3 +67,14 @@ def why(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return brief(error) or type(error).__name__
+
+
+def readdressed(address: str, way: Callable[[str], str]) -> str:
+    """The address of a measured value, `measure.value` or `file:value`: the file that it may name by another way."""
+    file, sign, value = address.rpartition(":")
+    return f"{way(file)}{sign}{value}" if file else address
+
+
+def unplaced(address: str) -> str:
+    """The same, wherever the file lies."""
+    return readdressed(address, lambda file: "")

@@ -206,7 +206,7 @@ def _expect_near(asked: Column, value: float) -> None:
         raise StudyError(
             f"{asked.name}: expected a value within {FARTHEST:g} half ranges of the bank's, which go from "
             f"{asked.low:g} to {high:g}, got {value:g} {asked.unit}".rstrip()
-            + ": is the unit right?"
+            + ": is the unit right? An open range ends at inf"
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,6 +29,7 @@ from lampopt.plugins import Plugins
 from lampopt.progress import silent
 from lampopt.protocols import Checker, Decoder, External, Keeping, Measure, Model, Solver, State
 from lampopt.quantities import Quantities
+from lampopt.reading import unplaced
 from lampopt.safeguards import judged_by
 from lampopt.solve import Posed, solve
 from lampopt.study import Study
@@ -210,7 +211,7 @@ class Task:
                     name: told(choice, self.measures[name], self.plugins)
                     for name, choice in study.to_be_measured().items()
                 },
-                "drift": {address: self._drift(address) for address in drift},
+                "drift": {unplaced(address): self._drift(address) for address in drift},
                 "checks": [offered("check", choice, self.plugins) for choice in study.checks],
                 "format": study.format,
                 "level": study.level,
@@ -234,6 +235,8 @@ class Task:
             "hard": study.hard,
             **self._more,
             "seed": study.seed,
+            "safe": {name: self.limits[name] for name in study.safe},
+            **({"meshes": study.resolution} if self._read_off() else {}),
         }
 
     @property
@@ -252,9 +255,7 @@ class Task:
                 name: learned(model) if isinstance(model, State) else given(model)
                 for name, model in self.models.items()
             },
-            "measured": {
-                name: [address.rpartition(":")[2], self._who(address)] for name, address in study.measured.items()
-            },
+            "measured": {name: [unplaced(address), self._who(address)] for name, address in study.measured.items()},
             "measuring": {
                 name: self._who(name) for name in self._named if self.wishes.quantities[name].measure is not None
             },
@@ -303,31 +304,32 @@ class Task:
             **{f"{PROGRAM}{name}": what for name, made in self._measuring.items() if (what := _program(made))},
         }
 
-    def search(self, key: str) -> str:
+    def search(self, key: str, target: Mapping[str, float]) -> str:
         """Under what the search for the design `key` notes its evaluations: by other programs they are others."""
-        return hashed([key, self._programs]) if self._programs else key
-
-    @property
-    def _programs(self) -> dict[str, Scalar]:
-        """Names and versions of the programs that measure from outside, those that are there."""
-        return {name: what for name, what in self.provenance.items() if name.startswith(PROGRAM)}
+        asked = {PROGRAM + name for name in self._read_off(target)}
+        programs = {name: what for name, what in self.provenance.items() if name in asked}
+        return hashed([key, programs]) if programs else key
 
     def outdated(self, result: Result) -> str:
         """Why a recorded result is not this task's any more: another version of a program; "" where it is.
 
         A program that is not there now is needed for what is not recorded only.
         """
-        now = self._programs
+        now = {name: what for name, what in self.provenance.items() if name.startswith(PROGRAM)}
         other = [name for name, what in now.items() if result.provenance.get(name, what) != what]
         return "; ".join(f"{name}: was {result.provenance[name]}, is {now[name]}" for name in other)
 
     @property
     def _measuring(self) -> dict[str, Measure]:
         """Every measure that the results depend on."""
+        return {**self.measures, **self._read_off()}
+
+    def _read_off(self, target: Iterable[str] = ()) -> dict[str, Measure]:
+        """The measures of whose values something is asked, by the study or as a `target`."""
         quantities = self.wishes.quantities
-        asked = [quantities[name] for name in self._named]
+        asked = [quantities[name] for name in {*self._named, *target}]
         asked += [quantities.measured(address) for address in self.study.measured.values()]
-        return {**self.measures, **{q.measure[0]: q.measure[1] for q in asked if q.measure is not None}}
+        return {q.measure[0]: q.measure[1] for q in asked if q.measure is not None}
 
 
 @contextmanager

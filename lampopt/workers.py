@@ -107,7 +107,11 @@ def _one_by_one(
             began = time.perf_counter()
             try:
                 if task.solves_long(target):
-                    memory = Memory(listener=tell) if place is None else Memory.at(place.folder, task.search(key), tell)
+                    memory = (
+                        Memory(listener=tell)
+                        if place is None
+                        else Memory.at(place.folder, task.search(key, target), tell)
+                    )
                     found = task.solved(target, memory)
                 else:
                     found = mixes.at(number)

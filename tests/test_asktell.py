@@ -262,6 +262,14 @@ def test_who_reports_or_judges_makes_no_other_search(bank, tmp_path):
     assert AskTell.load(file, other, plugins=PLUGINS).ask().number == 3
 
 
+def test_a_limit_that_the_search_keeps_to_makes_another_one(bank, tmp_path):
+    study = Study(bank, safe=["alpha"], limits={"alpha": 3.0})
+    file = go_on(search(study), most=3).save(tmp_path / "search.json")
+    assert AskTell.load(file, study, plugins=PLUGINS).ask().number == 3
+    with pytest.raises(InputError, match="is the search of another bank, study or scale"):
+        AskTell.load(file, replace(study, limits={"alpha": 0.5}), plugins=PLUGINS)
+
+
 @pytest.mark.parametrize("told", [[{}], [3], 3, [{"alpha": [1.0], "value": 1.0}], [{"alpha": "x", "value": 1.0}]])
 def test_damaged_entries_are_refused(bank, tmp_path, told):
     file = go_on(search(Study(bank)), most=1).save(tmp_path / "search.json")

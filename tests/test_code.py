@@ -2,12 +2,14 @@
 
 import importlib
 import sys
+import zipfile
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import lampopt
-from lampopt.code import source_of
+from lampopt.code import definition_of, source_of
 from lampopt.errors import BankError
 from lampopt.plugins import Plugins
 
@@ -36,6 +38,8 @@ def test_comments_and_empty_lines_do_not_count(written):
     plain = source_of(written(PLAIN).Judge)
     assert source_of(written("# why\n" + PLAIN.replace("\n\n\n", "  # so\n\n")).Judge) == plain
     assert source_of(written(PLAIN.replace("3", "4")).Judge) != plain
+    paged = "# page 1\n\x0c\n" + PLAIN
+    assert source_of(written(paged).Judge) != source_of(written(paged.replace("3", "4")).Judge)
     assert source_of(written(PLAIN.replace("LIMIT = 3", "LIMIT = '# 3'")).Judge) != source_of(
         written(PLAIN.replace("LIMIT = 3", "LIMIT = '# 4'")).Judge
     )
@@ -51,7 +55,15 @@ def test_it_is_that_of_the_file_as_it_was_first_read(written, tmp_path):
 
 def test_what_has_no_file_is_like_nothing_else():
     one, other = (type("Judge", (), {"__module__": "nowhere"}) for _ in range(2))
-    assert source_of(one) == source_of(one) != source_of(other)
+    assert source_of(one) == ""
+    assert definition_of(one) == definition_of(one) != definition_of(other)
+
+
+def test_an_archive_is_read(tmp_path, monkeypatch):
+    with zipfile.ZipFile(tmp_path / "packed.zip", "w") as archive:
+        archive.writestr("a_packed.py", PLAIN)
+    monkeypatch.syspath_prepend(tmp_path / "packed.zip")
+    assert source_of(importlib.import_module("a_packed").Judge) != ""
 
 
 DECODER = """
@@ -66,7 +78,7 @@ class Longer(small.Stretch):
 
 
 @pytest.mark.parametrize("finished", [True, False])
-def test_a_bank_is_not_built_by_two_versions_of_a_decoder(written, tmp_path, finished):
+def test_a_bank_is_not_built_by_two_versions_of_a_decoder(written, tmp_path, monkeypatch, finished):
     class Mine:
         @lampopt.hookimpl
         def lampopt_decoders(self):
@@ -78,13 +90,11 @@ def test_a_bank_is_not_built_by_two_versions_of_a_decoder(written, tmp_path, fin
         return small.bank(decoder="longer", store=tmp_path / "a.lamp", plugins=plugins)
 
     small.CALLS.clear()
-    small.INTERRUPT[0] = 0 if finished else 3
-    try:
+    monkeypatch.setattr(small, "INTERRUPT", [0 if finished else 3])
+    with nullcontext() if finished else pytest.raises(KeyboardInterrupt):
         build("1.0")
-    except KeyboardInterrupt:
-        assert not finished
-    finally:
-        small.INTERRUPT[0] = 0
-    with pytest.raises(BankError, match="made from other exemplars, options or seed"):
+    monkeypatch.setattr(small, "INTERRUPT", [0])
+    holds = "holds a bank" if finished else "holds the beginning of a bank"
+    with pytest.raises(BankError, match=f"{holds} made from other exemplars, options or seed"):
         build("1.5")
     assert build("1.0").weights[0, 0] == pytest.approx(small.bank().weights[0, 0])

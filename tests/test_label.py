@@ -4,7 +4,7 @@ import json
 import sys
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -16,6 +16,7 @@ from lampopt import Spec
 from lampopt.errors import BankError, InputError, MeasureError, SweepError
 from lampopt.partial import Partial
 from lampopt.pool import processes
+from lampopt.task import Task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -125,6 +126,18 @@ def test_a_run_folder_does_not_mix_versions_of_a_program(tmp_path, monkeypatch, 
     assert values() == [(pytest.approx(2 * drag), "solver 2") for drag, _ in first]
     assert len(CALLS) == 4
     assert len([*lampopt.results(tmp_path, every=True, plugins=small.plugins())]) == 2
+
+
+def test_a_program_that_only_reports_keeps_no_search_from_going_on(monkeypatch):
+    study = lampopt.Study(
+        small.bank(), {"size.volume": 1.9}, measures={"flow": Solver(), "size": "size"}, solver="nlopt"
+    )
+    first = Task.of(study, PLUGINS)
+    monkeypatch.setattr(Solver, "version", "2")
+    assert Task.of(study, PLUGINS).search("key", {}) == first.search("key", {}) == "key"
+    asked = replace(study, targets={"flow.drag": 1.9})
+    assert Task.of(asked, PLUGINS).search("key", {}) != "key"
+    assert Task.of(study, PLUGINS).search("key", {"flow.drag": 1.9}) == Task.of(asked, PLUGINS).search("key", {})
 
 
 def test_a_search_does_not_mix_versions_of_a_program(tmp_path, monkeypatch):

@@ -291,6 +291,8 @@ def test_shapes_beside_the_plane_of_symmetry_are_refused():
     with pytest.raises(FitError, match="move it there, or leave symmetry out"):
         decoder.fit(shared, [beside], seed=0)
     assert decoder.fit(shared, [shapes.box([0.8, 0.5, 0.4], centre=[0.1, 0.004, 0])], seed=0)[1][0] < 0.01
+    speck = shapes.box([0.005] * 3, centre=[0, 0.4, 0], divisions=0)  # left out, wherever it is
+    assert decoder.fit(shared, [trimesh.util.concatenate([here, speck])], seed=0)[1][0] < 0.01
 
 
 def test_symmetric_designs_are_their_own_mirror_images(variant):

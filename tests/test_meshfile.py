@@ -106,9 +106,17 @@ def test_a_polygon_that_is_not_convex_is_told(tmp_path, caplog, first, folded):
     if not folded:
         faces[1] = np.array([3, 2, 1, 0, 5, 4])
     vertices = np.concatenate([np.column_stack([L_SHAPE, np.full(6, z)]) for z in (0.0, 1.0)])
-    lines = ["v {} {} {}".format(*v) for v in vertices] + ["f " + " ".join(str(i + 1) for i in f) for f in faces]
+    lines = ["v {} {} {}".format(*v) for v in vertices] + ["  f " + " ".join(str(i + 1) for i in f) for f in faces]
     (tmp_path / "l.obj").write_text("\n".join(lines))
     mesh = load_mesh(tmp_path / "l.obj")
     assert mesh.volume == pytest.approx(3)
     assert ("lie back on their neighbours" in caplog.text) == folded
     assert (abs(mesh.area - 14) > 0.5) == folded
+
+
+def test_a_face_that_is_turned_over_is_no_polygon_cut_wrong(tmp_path, caplog):
+    box = trimesh.creation.box()
+    box.faces[0] = box.faces[0][::-1]
+    box.export(tmp_path / "box.ply")
+    assert load_mesh(tmp_path / "box.ply").area == pytest.approx(box.area)
+    assert "lie back" not in caplog.text

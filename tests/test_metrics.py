@@ -232,11 +232,18 @@ def test_conformal_quantile_covers_as_promised():
     assert np.mean(inside) == pytest.approx(0.9, abs=0.01)
 
 
-@pytest.mark.parametrize("columns", [1, 3, 40])
+@pytest.mark.parametrize("columns", [1, 8, 9, 400])
 def test_twins_are_found_however_many_columns_there_are(columns):
+    """Rows apart by a little less than what is allowed in every column, and others by a little more in one."""
     rng = np.random.default_rng(2)
-    rows = rng.normal(size=(30, columns))
-    place = rng.permutation(np.repeat(np.arange(30), [1, 2, 3] * 10))
-    group = twins(rows[place] + 1e-8 * rng.uniform(-1, 1, (60, columns)), 1e-6)
-    assert len(set(group)) == 30
-    assert all(len(set(group[place == i])) == 1 for i in range(30))
+    rows = 10.0 * np.arange(30)[:, None] + rng.normal(size=(30, columns))
+    near = rows + 0.99e-3 * rng.choice([-1, 1], rows.shape)
+    far = rows.copy()
+    far[:, -1] += 1.01e-3
+    group = twins(np.concatenate([rows, near]), 1e-3)
+    assert len(set(group)) == 30 and (group[:30] == group[30:]).all()
+    assert len(set(twins(np.concatenate([rows, far]), 1e-3))) == 60
+
+
+def test_rows_without_columns_are_all_twins():
+    assert twins(np.empty((3, 0)), 1e-3).tolist() == [0, 0, 0]

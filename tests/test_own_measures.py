@@ -1,11 +1,13 @@
 """Measures that a study is given as objects or with options: reported, recorded, told apart, sent to workers."""
 
+import copy
 import importlib
 import multiprocessing
 import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -287,10 +289,20 @@ def test_a_learned_measure_is_found_from_any_folder_and_moves_with_the_bank(tmp_
     monkeypatch.chdir(tmp_path)
     told_by_file(tmp_path, change=1.0)
     assert run(bank, ()).check("drift.length").value == pytest.approx(0, abs=1e-6)
+    identity = Task.of(Study(bank, TARGET), small.plugins()).identity
     shutil.move(tmp_path / "here", tmp_path / "there")
     moved = lampopt.load_bank(tmp_path / "there" / "a.lamp")
     assert moved.measured_by == {"length": f"{tmp_path}/there/length.measure:length"}
     assert run(moved, ()).accepted
+    assert Task.of(Study(moved, TARGET), small.plugins()).identity == identity
+
+
+def test_a_learned_measure_that_lies_elsewhere_stays_there(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    bank, file = told_by_file(tmp_path)
+    lampopt.store_bank(bank, tmp_path / "here" / "a.lamp")
+    shutil.move(tmp_path / "here", tmp_path / "there")
+    assert lampopt.load_bank(tmp_path / "there" / "a.lamp").measured_by == {"length": f"{file}:length"}
 
 
 def test_where_a_file_is_named_from_makes_no_other_design(bank, tmp_path, monkeypatch):
@@ -300,7 +312,15 @@ def test_where_a_file_is_named_from_makes_no_other_design(bank, tmp_path, monkey
     whole = replace(study, measures={"drawn": Spec("learned", file=str(tmp_path / "length.measure"))})
     one, other = (Task.of(each, small.plugins()).identity for each in (study, whole))
     assert one == other
-    assert repr(Spec("kkt", ridge=np.float64(1e-6))) == repr(Spec("kkt", ridge=1e-6))
+
+
+class Choice(StrEnum):
+    A = "a"
+
+
+def test_options_are_plain_values():
+    found = Spec("kkt", ridge=np.float64(1e-6), kind=Choice.A, on=True)
+    assert repr(found) == "Spec('kkt', kind='a', on=True, ridge=1e-06)"
 
 
 @dataclass(frozen=True)
@@ -315,6 +335,35 @@ class Side:
 def test_an_object_is_told_by_its_options_not_by_how_they_are_held():
     """Equal texts may be one object here and two in the next process."""
     assert given(Side("side")) == given(Side("".join(["si", "de"]))) != given(Side("left"))
+
+
+class Made(list):
+    """Holds its options where pickles of most objects have none."""
+
+    names, units = ("x",), ("L",)
+
+    def __init__(self, times, items=(), state=None):
+        super().__init__(items)
+        self.times, self.state = times, state
+
+    def __reduce__(self):
+        return (Made, (self.times, list(self))) if self.state is None else (Made, (self.times,), {"state": self.state})
+
+    def __call__(self, mesh):
+        return self.times * mesh.extents[:1]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (Made(1), Made(2)),
+        (Made(1, state="s"), Made(2, state="s")),
+        (Made(1, [1]), Made(1, [2])),
+        (Side("a"), Side("b")),
+    ],
+)
+def test_whatever_an_object_is_made_of_tells_it(one, other):
+    assert given(one) == given(copy.deepcopy(one)) != given(other)
 
 
 def test_a_learned_address_is_said_where_it_is_wrong(tmp_path):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import lampopt
-from lampopt.errors import MeasureError, PluginError
+from lampopt.errors import InputError, MeasureError, PluginError
 from lampopt.plugins import BLOCK, KINDS, Plugins, known_options
 from lampopt.types import Spec
 
@@ -499,7 +499,8 @@ class Lost(Slim):
 
     def __call__(self, bank, design):
         if design.mesh.extents[0] > 2.2:
-            raise MeasureError("too long for the gauge") if self.error == "measure" else ZeroDivisionError("by width")
+            kinds = {"ZeroDivisionError": ZeroDivisionError("by width"), "InputError": InputError("by width")}
+            raise kinds.get(self.error, MeasureError("too long for the gauge"))
         return [lampopt.Check("lost", 1.0, "<=", 2.0, "", "mesh")]
 
 
@@ -550,8 +551,9 @@ def test_a_check_that_cannot_judge_fails_with_its_reason(bank, tmp_path):
     assert short.accepted and not long_.accepted
     lost = long_.check("lost")
     assert np.isnan(lost.value) and lost.note == "cannot judge: too long for the gauge"
-    with pytest.raises(PluginError, match=r"check 'lost': raised ZeroDivisionError\('by width'\)"):
-        judged(bank, Spec("lost", error="other"))
+    for error in ("ZeroDivisionError", "InputError"):
+        with pytest.raises(PluginError, match=rf"check 'lost': raised {error}\('by width'\)"):
+            judged(bank, Spec("lost", error=error))
 
 
 def test_what_a_check_does_to_a_mesh_unsaid_is_done_to_one_of_its_own(bank):

@@ -129,7 +129,7 @@ def normalisable(values: Array, names: Sequence[str], what: str) -> Array:
         largest, spread = float(np.abs(known).max()), float(known.max() - known.min())
         if 0 < spread <= ROUNDING * largest:
             found = np.array(found)
-            found[~np.isnan(column), place], spread = known[0], 0.0
+            found[~np.isnan(column), place], spread = known.min(), 0.0
             found.flags.writeable = False
         if largest > 1e100 or 0 < spread < 1e-100:
             raise InputError(

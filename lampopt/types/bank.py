@@ -99,9 +99,12 @@ class Spec:
 
 
 def _native(value: Scalar) -> Scalar:
-    """What a subclass such as numpy's stands for."""
-    kinds: tuple[type[str] | type[int] | type[float], ...] = (str, int, float)
-    return value if isinstance(value, bool) else next(kind(value) for kind in kinds if isinstance(value, kind))
+    """What a subclass, such as numpy's or an enumeration's, stands for."""
+    if isinstance(value, str):
+        return str.__str__(value)
+    if isinstance(value, bool):
+        return value
+    return int(value) if isinstance(value, int) else float(value)
 
 
 def _texts(table: object, what: str) -> Table[str]:

@@ -96,7 +96,8 @@ class MeshTemplate:
     def prepare(self, meshes: Sequence[Trimesh], *, mean: Trimesh, seed: int) -> Shared:
         """The template and the lattice that moves it, finer where exemplars ask for it.
 
-        Raises FitError where an exemplar is of another topology than the mean, naming it; loose specks aside.
+        Raises FitError where an exemplar is of another topology than the mean, or beside its plane of symmetry, naming
+        it; loose specks aside.
         """
         if len({topology(mean).bodies, *(topology(mesh).bodies for mesh in meshes)}) > 1:
             mean = without_specks(mean)
@@ -107,8 +108,9 @@ class MeshTemplate:
             )
         sizes = []
         for mesh in meshes:  # one at a time: there may be thousands
-            self._expect_one_plane(mesh, mean.bounds)
-            sizes.append(_size(_alike(mesh, wanted)))
+            alike = _alike(mesh, wanted)
+            self._expect_one_plane(alike, mean.bounds)
+            sizes.append(_size(alike))
         template = self._template(mean)
         pilots = [Surface.of(_alike(meshes[i], wanted)) for i in _outer(np.array(sizes))]
         registration = self._registration(template)
@@ -131,8 +133,9 @@ class MeshTemplate:
         bounds = np.array([template.surface.vertices.min(0), template.surface.vertices.max(0)])
 
         def fitted(mesh: Trimesh) -> tuple[Array, float]:
-            self._expect_one_plane(mesh, bounds)
-            target = Surface.of(_alike(mesh, wanted))
+            alike = _alike(mesh, wanted)
+            self._expect_one_plane(alike, bounds)
+            target = Surface.of(alike)
             weights = self._onto(template, registration, target, seed).astype(np.float32)
             made = Surface(template.moved(weights), template.surface.faces)
             return weights, max(made.away(target), target.away(made))
