@@ -307,7 +307,7 @@ class AskTell:
     @property
     def _identity(self) -> str:
         """A hash of what the way of a search depends on."""
-        asked = {"question": self._task.question, "target": self._target, "scale": self._scale}
+        asked = {"question": self._task.question.plain(), "target": self._target, "scale": self._scale}
         return hashlib.blake2b(json.dumps(asked, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,13 +22,13 @@ from lampopt.designer import Designer
 from lampopt.errors import MeasureError, PluginError, StudyError
 from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
-from lampopt.goals import Minimise, Reduce
-from lampopt.identity import contents, given, hashed, learned, offered, told
-from lampopt.measured import resolve_address
+from lampopt.goals import Minimise
+from lampopt.identity import hashed, offered, told
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
-from lampopt.protocols import Checker, Decoder, External, Keeping, Measure, Model, Solver, State
+from lampopt.protocols import Checker, Decoder, External, Keeping, Measure, Model, Solver
 from lampopt.quantities import Quantities
+from lampopt.question import Question
 from lampopt.reading import unplaced
 from lampopt.safeguards import judged_by
 from lampopt.solve import Posed, solve
@@ -96,6 +96,11 @@ class Task:
         quantities = Quantities(self.bank, self.models, self.measures, chain, self.plugins)
         return Wishes(self.study, self.bank, self.decoder, self.limits, quantities)
 
+    @cached_property
+    def question(self) -> Question:
+        """What the study asks, in plain values."""
+        return Question(self.study, self.wishes.quantities, self.limits, self.plugins)
+
     def posed(
         self, target: Mapping[str, float], memory: Memory | None = None, instead: Mapping[str, Array] | None = None
     ) -> Posed:
@@ -109,7 +114,7 @@ class Task:
 
     def solves_long(self, target: Mapping[str, float]) -> bool:
         """Whether a solve for `target` makes meshes or sweeps probes, so that it is worth a worker."""
-        measured = any(self.wishes.quantities[name].measure is not None for name in {*self._named, *target})
+        measured = any(self.wishes.quantities[name].measure is not None for name in {*self.question.named, *target})
         return bool(self.study.turns or "mismatch" in self.study.safe or measured)
 
     def refuse_corrections(self, who: str) -> None:
@@ -119,7 +124,7 @@ class Task:
 
     def refuse_terms(self, who: str, target: Mapping[str, float]) -> None:
         """Raise StudyError where `who`, which knows linear targets only, is given others."""
-        bent = [name for name in {*self._named, *target} if self.wishes.quantities[name].column is None]
+        bent = [name for name in {*self.question.named, *target} if self.wishes.quantities[name].column is None]
         if bent or isinstance(self.study.objective, Minimise):
             what = ", ".join(sorted(bent)) or f"an objective that is {self.study.objective}"
             raise StudyError(f"{who}: expected what is linear in the mix (parameters, labels), got {what}")
@@ -192,9 +197,11 @@ class Task:
         """What tells a design from all others: a hash of everything that it depends on."""
         known = {"run": self.identity, "target": dict(target)}
         swept = [
-            name for name in target if name not in self._named and self.wishes.quantities[name].measure is not None
+            name
+            for name in target
+            if name not in self.question.named and self.wishes.quantities[name].measure is not None
         ]
-        return hashed(known | ({"measuring": {name: self._who(name) for name in swept}} if swept else {}))
+        return hashed(known | ({"measuring": {name: self.question.who(name) for name in swept}} if swept else {}))
 
     @cached_property
     def identity(self) -> str:
@@ -203,7 +210,7 @@ class Task:
         drift = self.bank.measured_by.values() if study.level == "mesh" else ()
         return hashed(
             {
-                **self._question,
+                **self.question.plain(),
                 "versions": {name: said for name, said in self.provenance.items() if not name.startswith(PROGRAM)},
                 "limits": [dict(study.limits), dict(self.bank.limits)],
                 "decoder": offered("decoder", self.bank.decoder, self.plugins),
@@ -211,80 +218,13 @@ class Task:
                     name: told(choice, self.measures[name], self.plugins)
                     for name, choice in study.to_be_measured().items()
                 },
-                "drift": {unplaced(address): self._drift(address) for address in drift},
+                "drift": {unplaced(address): self.question.drift(address) for address in drift},
                 "checks": [offered("check", choice, self.plugins) for choice in study.checks],
                 "format": study.format,
                 "level": study.level,
                 "resolution": study.resolution,
             }
         )
-
-    @property
-    def question(self) -> str:
-        """A hash of what a search for the answer depends on: what is asked of which bank, not who judges or reports."""
-        return hashed(self._question)
-
-    @property
-    def _question(self) -> dict[str, object]:
-        study = self.study
-        return {
-            **contents(self.bank),
-            "solver": offered("solver", study.solver, self.plugins),
-            "reference": study.reference,
-            "ranges": study.bounds(self.wishes.quantities),
-            "hard": study.hard,
-            **self._more,
-            "seed": study.seed,
-            "safe": {name: self.limits[name] for name in study.safe},
-            **({"meshes": study.resolution} if self._read_off() else {}),
-        }
-
-    @property
-    def _more(self) -> dict[str, object]:
-        """What a study may ask besides, where it does: the keys of others stay what they were."""
-        study = self.study
-        asked: dict[str, object] = {
-            "weights": dict(study.weights),
-            "objective": None if isinstance(study.objective, Reduce | None) else study.objective.written(),
-            "linear": {name: one.written() for name, one in study.linear.items()},
-            "alpha": study.alpha,
-            "ridge": None if study.ridge is None else repr(float(study.ridge)),
-            "norm": None if study.norm == 2 else study.norm,
-            "safe": study.safe,
-            "models": {
-                name: learned(model) if isinstance(model, State) else given(model)
-                for name, model in self.models.items()
-            },
-            "measured": {name: [unplaced(address), self._who(address)] for name, address in study.measured.items()},
-            "measuring": {
-                name: self._who(name) for name in self._named if self.wishes.quantities[name].measure is not None
-            },
-            "turns": study.turns,
-            "told": [] if study.turns else sorted(n for n in study.measured if told_without_turns(study, n)),
-        }
-        return {name: value for name, value in asked.items() if value}
-
-    @property
-    def _named(self) -> list[str]:
-        """What the study itself names to be asked, kept within a range, or sought."""
-        objective = [self.study.objective.name] if self.study.objective is not None else []
-        return [*self.study.names, *self.study.ranges, *objective]
-
-    def _who(self, name: str) -> list[str]:
-        """What tells the measure behind a measured value from others."""
-        quantity = self.wishes.quantities
-        found = quantity.measured(name) if ":" in name or name in self.bank.measured_by.values() else quantity[name]
-        if found.measure is None:
-            return ["the bank"]
-        key, measure, _ = found.measure
-        if key in self.measures:
-            return told(self.study.to_be_measured()[key], measure, self.plugins)
-        return [learned(measure)] if ":" in name else offered("measure", key, self.plugins)
-
-    def _drift(self, address: str) -> list[str]:
-        """What tells the measure behind `address` from others."""
-        name, measure, _ = resolve_address(address, self.plugins)
-        return [learned(measure)] if ":" in address else offered("measure", name, self.plugins)
 
     @cached_property
     def provenance(self) -> Mapping[str, Scalar]:
@@ -306,7 +246,7 @@ class Task:
 
     def search(self, key: str, target: Mapping[str, float]) -> str:
         """Under what the search for the design `key` notes its evaluations: by other programs they are others."""
-        asked = {PROGRAM + name for name in self._read_off(target)}
+        asked = {PROGRAM + name for name in self.question.read_off(target)}
         programs = {name: what for name, what in self.provenance.items() if name in asked}
         return hashed([key, programs]) if programs else key
 
@@ -322,14 +262,7 @@ class Task:
     @property
     def _measuring(self) -> dict[str, Measure]:
         """Every measure that the results depend on."""
-        return {**self.measures, **self._read_off()}
-
-    def _read_off(self, target: Iterable[str] = ()) -> dict[str, Measure]:
-        """The measures of whose values something is asked, by the study or as a `target`."""
-        quantities = self.wishes.quantities
-        asked = [quantities[name] for name in {*self._named, *target}]
-        asked += [quantities.measured(address) for address in self.study.measured.values()]
-        return {q.measure[0]: q.measure[1] for q in asked if q.measure is not None}
+        return {**self.measures, **self.question.read_off()}
 
 
 @contextmanager

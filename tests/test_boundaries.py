@@ -65,6 +65,7 @@ LAYERS = (
     {"experiments"},
     {"study"},
     {"identity", "wishes", "closing"},
+    {"question"},
     {"task"},
     {"crew", "pool"},
     {"label"},
