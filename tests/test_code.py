@@ -38,7 +38,7 @@ def test_comments_and_empty_lines_do_not_count(written):
     plain = source_of(written(PLAIN).Judge)
     assert source_of(written("# why\n" + PLAIN.replace("\n\n\n", "  # so\n\n")).Judge) == plain
     assert source_of(written(PLAIN.replace("3", "4")).Judge) != plain
-    paged = "# page 1\n\x0c\n" + PLAIN
+    paged = "\x0c\n" + PLAIN.replace("\n", "\n# page 2\n", 1)
     assert source_of(written(paged).Judge) != source_of(written(paged.replace("3", "4")).Judge)
     assert source_of(written(PLAIN.replace("LIMIT = 3", "LIMIT = '# 3'")).Judge) != source_of(
         written(PLAIN.replace("LIMIT = 3", "LIMIT = '# 4'")).Judge

@@ -16,7 +16,7 @@ import pytest
 import lampopt
 from lampopt import Exemplars, Parameter, Spec, Study
 from lampopt.errors import InputError, MeasureError, StudyError
-from lampopt.identity import given
+from lampopt.identity import given, offered
 from lampopt.task import Task
 from lampopt.testing import shapes
 
@@ -312,6 +312,8 @@ def test_where_a_file_is_named_from_makes_no_other_design(bank, tmp_path, monkey
     whole = replace(study, measures={"drawn": Spec("learned", file=str(tmp_path / "length.measure"))})
     one, other = (Task.of(each, small.plugins()).identity for each in (study, whole))
     assert one == other
+    there, here = (offered("measure", Spec("size", file=file), small.plugins()) for file in ("x", f"{tmp_path}/x"))
+    assert there == here
 
 
 class Choice(StrEnum):
