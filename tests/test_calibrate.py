@@ -15,7 +15,7 @@ from lampopt import Spec, calibrate, design, store_bank
 from lampopt.calibrate import _passing, _told_apart, limits_from
 from lampopt.check import DEFAULTS, Limits
 from lampopt.errors import InputError
-from lampopt.holdout import outermost
+from lampopt.holdout import chosen, outermost, own
 from lampopt.metrics import surface_distance
 from lampopt.testing import shapes
 from lampopt.types import Calibration
@@ -162,6 +162,17 @@ def test_rounding_tells_nothing():
     assert limits_from(found, Limits.of(small.bank(), {})) == {"mismatch": 2 * DEFAULTS["mismatch"]}
     found = replace(found, values=values * 1e4)
     assert limits_from(found, Limits.of(small.bank(), {}))["mismatch"] == pytest.approx(np.sqrt(2e-5 * 4e-5))
+
+
+def test_what_a_bank_was_built_from_is_known_again_among_more():
+    """A column that rounding alone divides is even in the bank, not where another exemplar differs in it."""
+    third = np.array([0.3, 0.1 + 0.2] * 3 + [0.9])
+    more = small.boxes()
+    space = (*more.space, lampopt.Parameter("third", "m"))
+    more = replace(more, parameters=np.column_stack([more.parameters, third]), space=space)
+    bank = small.bank(chosen(more, range(6)))
+    assert bank.space[2].spread == 0 and more.parameters[1, 2] != bank.parameters[1, 2]
+    assert own(bank, more).names == bank.names
 
 
 def test_one_parameter_at_a_time():

@@ -8,6 +8,7 @@ import pytest
 
 import lampopt
 from lampopt import Maximise, Spec, Study
+from lampopt.errors import SweepError
 from lampopt.evaluations import FILE, Memory, evaluations
 from lampopt.reporting.searched import searched
 
@@ -84,6 +85,21 @@ def test_a_search_that_was_stopped_goes_on(bank, tmp_path, monkeypatch):
     assert again.design.mix.alpha.tolist() == whole.design.mix.alpha.tolist()
     assert after[: len(before)] == before
     assert len(after) == len(set(after)) == decoded  # nothing twice
+
+
+@pytest.mark.parametrize("solver", ["casadi", "nlopt"])
+def test_a_full_disk_is_told_as_that(bank, tmp_path, monkeypatch, solver):
+    """Not as a fault of the solver, through which the search notes what it evaluates."""
+    real = Path.open
+
+    def full(self, mode="r", *more, **named):
+        if self.name == FILE and "a" in mode:
+            raise OSError(28, "No space left on device")
+        return real(self, mode, *more, **named)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(SweepError, match=rf"{FILE}: cannot be written: .*No space left"):
+        run(bank, tmp_path, solver=solver)
 
 
 def test_the_report_shows_how_it_converged(bank, tmp_path):

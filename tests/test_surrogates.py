@@ -350,7 +350,15 @@ def test_a_mesh_given_more_than_once_is_left_out_as_a_whole():
         model = KernelRidge(alpha=ridge, kernel="rbf", gamma=sharpness[0]).fit(features[~out], values[~out, 0])
         np.testing.assert_allclose(values[out, 0] - model.predict(features[out]), errors[out, 0], rtol=1e-3)
     assert (errors**2).mean() > 0.5 * values.var()  # noise cannot be told
-    assert (lasso(features, values, 10, 0)[2] ** 2).mean() > 0.5 * values.var()
+    many = rng.normal(size=(20, 60))[copies]  # enough of them to tell each shape by heart
+    assert (lasso(many, values, 10, 0)[2] ** 2).mean() > 0.5 * values.var()
+
+
+def test_shapes_given_more_than_once_do_not_narrow_the_region():
+    rng = np.random.default_rng(7)
+    once, new = rng.normal(size=(60, 40)), rng.normal(size=(200, 40))
+    told = [np.mean([Region.of(np.tile(once, (times, 1)), 0).outside(row) for row in new]) for times in (1, 6)]
+    assert told[1] < told[0] + 0.2
 
 
 @pytest.mark.parametrize(("shapes", "alike"), [(200, 1e-2), (200, 0.0), (30, 1e-2)])
