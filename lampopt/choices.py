@@ -107,11 +107,11 @@ def written_measures(measures: Mapping[str, Spec | Measure]) -> list[str] | dict
     """For TOML: names alone where they say it all; an object by its class, which cannot be made again from it."""
     if all(isinstance(choice, Spec) and choice == Spec(name) for name, choice in measures.items()):
         return list(measures)
-    objects = {name: {"name": GIVEN, "of": _class(one)} for name, one in measures.items() if not isinstance(one, Spec)}
-    return {
-        name: _written(one, f"measures: {name}") if isinstance(one, Spec) else objects[name]
-        for name, one in measures.items()
-    }
+    found = {}
+    for name, choice in measures.items():
+        given = {"name": GIVEN, "of": _class(choice)}
+        found[name] = _written(choice, f"measures: {name}") if isinstance(choice, Spec) else given
+    return found
 
 
 def models_of(given: object) -> Mapping[str, str | Model]:

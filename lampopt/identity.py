@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import copyreg
 import hashlib
 import json
 import pickle
 import uuid
+from typing import Any
 
 import numpy as np
 
@@ -103,9 +103,9 @@ def given(measure: Measure | Model) -> list[str]:
 
 def _state_of(given: object) -> str:
     """A hash of what an object holds, part by part where it can be: a pickle of all also says which parts are one."""
-    made = given.__reduce_ex__(4)
-    plain = isinstance(made, tuple) and made[:2] == (copyreg.__newobj__, (type(given),)) and not any(made[3:])  # type: ignore[attr-defined]  # typeshed lacks it
-    parts = made[2] if plain and isinstance(made[2], dict) else {"": given}
+    made: Any = given.__reduce_ex__(4)
+    apart = isinstance(made, tuple) and len(made) > 2 and isinstance(made[2], dict) and not any(made[3:])
+    parts = {"how it is made": made[:2], **made[2]} if apart else {"all of it": given}
     return hashed({str(name): hashlib.blake2b(pickle.dumps(value)).hexdigest() for name, value in parts.items()})
 
 

@@ -355,9 +355,23 @@ class Made(list):
         return self.times * mesh.extents[:1]
 
 
+class Listed(list):
+    """Holds an option, and more as a list does."""
+
+    names, units, times = ("x",), ("L",), 1.0
+
+    def __init__(self, *items):
+        super().__init__(items)
+        self.times = 2.0
+
+    def __call__(self, mesh):
+        return self.times * mesh.extents[:1]
+
+
 @pytest.mark.parametrize(
     ("one", "other"),
     [
+        (Listed(1), Listed(2)),
         (Made(1), Made(2)),
         (Made(1, state="s"), Made(2, state="s")),
         (Made(1, [1]), Made(1, [2])),
