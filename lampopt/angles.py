@@ -10,8 +10,9 @@ import numpy as np
 
 from lampopt.protocols import Decoder, Displace
 from lampopt.types import Array, Bank
-from lampopt.units import ANGLES, factor
+from lampopt.units import factor
 
+UNITS = ("deg", "degree", "degrees", "°", "rad", "radian", "radians", "mrad")
 WIDEST = 60.0  # of exemplars' angles, up to which they are taken for slopes; beyond, for turns, which have no one law
 STEEPEST = 85.0  # of what is asked for: the tangent grows beyond all bounds
 PROBES = 4096  # where motion is looked at
@@ -47,7 +48,7 @@ def deviations(bank: Bank, decoder: Decoder, alpha: Array) -> Array:
 
 def _angles(bank: Bank) -> tuple[Array, Array]:
     """Which k parameters are slopes, and those of the exemplars (N, k) [rad]."""
-    units = {k: factor(q.unit, "rad", q.name) for k, q in enumerate(bank.space) if q.unit in ANGLES and q.spread > 0}
+    units = {k: factor(q.unit, "rad", q.name) for k, q in enumerate(bank.space) if q.unit in UNITS and q.spread > 0}
     found = {k: bank.parameters[:, k] * one for k, one in units.items()}
     slopes = [k for k, angles in found.items() if np.abs(angles).max() <= np.radians(WIDEST) * (1 + 1e-9)]
     return np.array(slopes, int), np.array([found[k] for k in slopes]).T

@@ -361,6 +361,14 @@ def stranger_checks(bank: Bank, design: Design, checkers: Mapping[str, Checker],
     return found
 
 
+def expect_told(checks: Iterable[Check], more: str = "") -> None:
+    """Raise MeasureError, one that may pass, where one of `checks` has to be tried again; `more` ends its message."""
+    if lost := next((check for check in checks if check.retry), None):
+        error = MeasureError(f"{lost.name}: {lost.note}{more}")
+        error.passing = True
+        raise error
+
+
 def _checks(who: str, answer: object) -> Sequence[Check]:
     if not isinstance(answer, Sequence) or not all(isinstance(check, Check) for check in answer):
         raise PluginError(f"{who}: expected a list of lampopt.Check, got {answer!r:.80}")

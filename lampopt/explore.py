@@ -8,7 +8,8 @@ from math import ceil
 
 import numpy as np
 
-from lampopt.errors import InputError, MeasureError, StudyError
+from lampopt.check import expect_told
+from lampopt.errors import InputError, StudyError
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
 from lampopt.protocols import Progress, Solver
@@ -240,10 +241,7 @@ def _judged(task: Task, posed: Posed, mix: Mix, predicted: dict[str, float]) -> 
 
 
 def _failed(result: Result) -> str:
-    if lost := [check for check in result.checks if check.retry]:
-        error = MeasureError(f"{lost[0].name}: {lost[0].note}")
-        error.passing = True
-        raise error
+    expect_told(result.checks)
     return next((check.name for check in result.checks if not check.passed), "")
 
 

@@ -13,7 +13,6 @@ _NAME = r"°?[^\W\d_⁰¹²³⁴-⁹](?:[^\W\d⁰¹²³⁴-⁹]|[0-9])*"
 _POWER = r"(?:(?:\*\*|\^)-?[0-9]|[²³])?"
 _PLAIN = re.compile(rf"|[%°]|(?:1\s*/\s*)?{_NAME}{_POWER}(?:(?:\s*[*/]\s*|\s+){_NAME}{_POWER})*")
 _POWERS_IN_WORDS = re.compile(r"\s(?:squared|cubed)|(?:cubic|square|sq)\s")
-ANGLES = ("deg", "degree", "degrees", "°", "rad", "radian", "radians", "mrad")
 _LONGEST = 60  # characters of a unit
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
@@ -62,8 +61,8 @@ def _converted(value: float, unit: str, to: str, what: str) -> float:
 
 def _turns(registry: Any, unit: str) -> float:
     """The power of an angle in `unit`: 1 of degrees, −1 of what is per radian."""
-    root = registry.Quantity(1.0, unit or "dimensionless").to_root_units().units
-    return float(root._units.get("radian", 0))
+    root = registry.Quantity(1.0, unit or "dimensionless").to_root_units()
+    return float(dict(root.unit_items()).get("radian", 0))
 
 
 def _plain(unit: str) -> bool:
