@@ -2,9 +2,9 @@
 
 What is off is mostly the same nearby (a decoder's blunting, a label that is not linear in the mix), so that asking for
 as much more or less takes nearly all of it away. The first correction takes one unit asked for one unit measured; each
-turn then teaches how they really go together (Broyden, 1965). A label that the parameters explain is asked by a plane
-through what was measured (lampopt.plane), from the first turn, and always from the design that came nearest. The best
-of all turns counts.
+turn then teaches how they really go together (Broyden, 1965). A label of which the parameters tell something is asked
+by a plane through what was measured (lampopt.plane), from the first turn, and always from the design that came nearest.
+It ends where what is off is within the noise that the measure tells. The best of all turns counts.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from lampopt.errors import StudyError
 from lampopt.mix import predicted
 from lampopt.plane import Plane, explained
 from lampopt.progress import silent
-from lampopt.quantities import Quantities, Quantity, teller
+from lampopt.quantities import Quantities, Quantity, error_of, teller
 from lampopt.solve import Column, Posed
 from lampopt.study import Study
 from lampopt.types import Array, Bank, Check, Mix
 from lampopt.units import factor
 
 CLOSE = 1e-4  # what is off by less [half of the bank's range] needs no other turn
+WITHIN = 0.5  # nor what is off by less than this part of the standard error that its measure tells
 FARTHEST = 1.0  # correction in one turn [half of the bank's range]
 Solve = Callable[[Mapping[str, float], Mapping[str, Array]], tuple[Posed, Mix]]
 log = logging.getLogger("lampopt")
@@ -165,7 +166,7 @@ def closed(
             what = f"correction {turn} of {study.turns}" if turn else "as asked"
             tell(f"{what}: off by {worst:.3g} half ranges")
         log.debug("turn %d: off by %.4g half ranges", turn, worst)
-        if turn == study.turns or worst <= CLOSE or worst == np.inf:
+        if turn == study.turns or worst == np.inf or (np.abs(off) <= _near(readings, quantities, mix)).all():
             break
         planes = {
             name: planes[name].through(mix.alpha, value)
@@ -212,7 +213,7 @@ def _next(
 
 
 def _planes(study: Study, quantities: Quantities, readings: Mapping[str, Reading]) -> dict[str, Plane]:
-    """The labels that the parameters explain, by planes through what is measured where the design starts from."""
+    """The labels of which parameters tell something, by planes through what is measured at the start."""
     bank, found = quantities.bank, dict[str, Plane]()
     if not study.turns:
         return found
@@ -236,6 +237,16 @@ def _begun(study: Study, quantities: Quantities, target: Mapping[str, float], na
         if name in study.measured
     }
     return {name: target[name] + by for name, by in apart.items()}
+
+
+def _near(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> Array:
+    """(k,) what is off by no more needs no other turn, which could but follow the noise [half of the bank's range]."""
+    found = []
+    for r in readings.values():
+        error = r.factor * quantities.value(told, mix.alpha) if (told := error_of(r.quantity)) else np.nan
+        near = WITHIN * error / (r.column.spread / 2)
+        found.append(max(CLOSE, near) if np.isfinite(near) else CLOSE)
+    return np.array(found)
 
 
 def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> Array:

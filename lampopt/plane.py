@@ -19,10 +19,13 @@ from lampopt.plugins import Plugins
 from lampopt.protocols import CrossValidated
 from lampopt.types import Array, Bank
 
-EXPLAINED = 0.5  # least R² of a label by the parameters, each exemplar left out in turn
+TOLD = 0.0  # R² of a label by the parameters, each exemplar left out in turn, above which they tell more than its mean
 MODEL = "quadratic"
 PRIOR = 0.3  # what the slope from the exemplars weighs beside a measured design one range away
 NEAR = 0.05  # [ranges] nearer designs than this do not weigh more
+Slope = Callable[[Array], Array]  # (d,) at (d,), both in parts of the ranges
+Told = tuple[float, Slope]
+NOTHING: Told = -np.inf, np.zeros_like
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,7 @@ class Plane:
     """
 
     parameters: Array
-    prior: Callable[[Array], Array]
+    prior: Slope
     seen: tuple[tuple[Array, float], ...]
     wanted: float | None = None
 
@@ -88,12 +91,13 @@ def in_ranges(bank: Bank) -> Array:
 
 
 def explained(bank: Bank, label: str, start: Array, value: float, plugins: Plugins | None) -> Plane | None:
-    """The plane of a label through `value`, measured at the mix `start` (N,); None if parameters tell too little of it.
+    """The plane of a label through `value`, measured at the mix `start` (N,); None if parameters tell nothing of it.
 
-    Its slopes are those of a quadratic model where one can be fitted, else of one plane over the exemplars.
+    Its slopes are those of a quadratic model or of one plane over the exemplars, whichever tells more of those left
+    out.
     """
-    prior = _by_model(bank, label, plugins) or _by_plane(bank, label)
-    if prior is None:
+    r2, prior = max((_by_model(bank, label, plugins), _by_plane(bank, label)), key=lambda told: told[0])
+    if not r2 > TOLD:
         return None
     parameters = in_ranges(bank)
     return Plane(parameters, prior, ((start @ parameters, value),))
@@ -104,16 +108,15 @@ def _ranges(bank: Bank) -> Array:
     return np.where(spread > 0, spread, 1.0)
 
 
-def _by_model(bank: Bank, label: str, plugins: Plugins | None) -> Callable[[Array], Array] | None:
+def _by_model(bank: Bank, label: str, plugins: Plugins | None) -> Told:
+    """How much a quadratic model tells, and its slope."""
     if plugins is None or ("model", MODEL) not in plugins.offers:
-        return None
+        return NOTHING
     try:
         model = fit_model(bank, MODEL, [label], plugins=plugins)
     except InputError:  # too few exemplars with this label
-        return None
+        return NOTHING
     r2 = model.cross_validated[label]["r2"] if isinstance(model, CrossValidated) else np.nan
-    if not r2 >= EXPLAINED:
-        return None
     ranges, names = _ranges(bank), [q.name for q in bank.space]
     places = [names.index(name) for name in model.inputs]
 
@@ -122,22 +125,21 @@ def _by_model(bank: Bank, label: str, plugins: Plugins | None) -> Callable[[Arra
         found[places] = np.asarray(model.gradient((at * ranges)[None, places]))[0, 0]
         return found * ranges
 
-    return slope
+    return (r2, slope) if np.isfinite(r2) else NOTHING
 
 
-def _by_plane(bank: Bank, label: str) -> Callable[[Array], Array] | None:
+def _by_plane(bank: Bank, label: str) -> Told:
+    """How much a plane over the exemplars tells, and its slope."""
     values = bank.labels[:, [q.name for q in bank.label_space].index(label)]
     known = np.isfinite(values)
     rows, off = in_ranges(bank)[known], values[known]
     if len(rows) < 3:
-        return None
+        return NOTHING
     rows, off = rows - rows.mean(0), off - off.mean()
     inverse = np.linalg.pinv(rows, rcond=1e-8)
     share = 1 / len(rows) + np.einsum("nd,dn->n", rows, inverse)  # of its own value in what it is told
-    if not (share < 1 - 1e-9).all():
-        return None  # no fewer parameters than exemplars
+    if not (share < 1 - 1e-9).all() or not off.any():
+        return NOTHING  # no fewer parameters than exemplars, or nothing to tell
     missed = (off - rows @ inverse @ off) / (1 - share)
-    if missed @ missed > (1 - EXPLAINED) * (off @ off):
-        return None
     slope = inverse @ off
-    return lambda _: slope
+    return 1 - float(missed @ missed) / float(off @ off), lambda _: slope

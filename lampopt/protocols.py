@@ -80,7 +80,8 @@ class Measure(Protocol):
     """Mesh in, named values out.
 
     A unit is what the value scales with ("L", "L^2", ... "L^5": the core fills the mesh's length unit in) or absolute
-    ("deg", ""). Values that move with the mesh are named in an attribute `positions`.
+    ("deg", ""). Values that move with the mesh are named in an attribute `positions`. A value `NAME_error` in the unit
+    of another one, `NAME`, is its standard error: the closed loop does not follow what is off by less than half of it.
     """
 
     @property

@@ -240,6 +240,18 @@ def _of_column(found: Column) -> Quantity:
     return Quantity(found.name, found.unit, column=found)
 
 
+def error_of(quantity: Quantity) -> Quantity | None:
+    """The standard error that a measure tells of this value of its own: `VALUE_error`, in the same unit."""
+    if quantity.measure is None:
+        return None
+    name, measure, place = quantity.measure
+    names, units = tuple(measure.names), tuple(measure.units)
+    error = f"{names[place]}_error"
+    if error not in names or units[names.index(error)] != units[place]:
+        return None
+    return Quantity(f"{quantity.name}_error", quantity.unit, measure=(name, measure, names.index(error)))
+
+
 def teller(quantity: Quantity) -> str:
     """Who tells a quantity's value, in words."""
     if quantity.model is not None:
