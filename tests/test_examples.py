@@ -133,6 +133,9 @@ def test_aircraft_study(tmp_path):
     assert "\naccepted " in said
 
 
+LABELS = EXAMPLES / "drag" / "labels.csv"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -141,6 +144,7 @@ def test_aircraft_study(tmp_path):
         (["--level", "rough"], "invalid choice"),
         (["--labels", "none.csv"], "--labels: none.csv is not there"),
         (["--closing", "51"], "--closing, --placements: expected 50 or fewer"),
+        (["--labels", str(LABELS), "--label-level", "coarse"], "--label-level: the exemplars' flows are in --labels"),
     ],
 )
 def test_make_drag_tells_wrong_options_before_anything_is_solved(options, message, tmp_path):
@@ -162,18 +166,18 @@ def test_make_drag_takes_labels_of_its_own_cars_only(tmp_path, monkeypatch):
     """Exemplars of every seed are called alike."""
     monkeypatch.syspath_prepend(EXAMPLES / "drag")
     drag = importlib.import_module("drag")
-    cars, level = drag.cached(drag.family(tmp_path, 24, 0, 120.0), EXAMPLES / "drag" / "labels.csv")
+    cars, level = drag.cached(drag.family(tmp_path, 24, 0, 120.0), LABELS)
     assert level == "coarse" and np.isfinite(cars.labels).all() and np.ptp(cars.labels) > 0.05
     for count, seed in ((24, 1), (23, 0)):
         with pytest.raises(InputError, match=r"has no drag of .* as it is here"):
-            drag.cached(drag.family(tmp_path, count, seed, 120.0), EXAMPLES / "drag" / "labels.csv")
+            drag.cached(drag.family(tmp_path, count, seed, 120.0), LABELS)
 
 
 # No fake of a solver can confirm a cut; `.ci/run` installs OpenFOAM, so that CI does not skip it.
 @pytest.mark.skipif(not shutil.which("simpleFoam"), reason="OpenFOAM is not installed: apt-get install openfoam")
 def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     """Fewer placements than `make drag` takes, so that its noise allows for more: two to three per cent."""
-    options = ["--labels", str(EXAMPLES / "drag" / "labels.csv"), "--decoder", "vertex-template"]
+    options = ["--labels", str(LABELS), "--decoder", "vertex-template"]
     options += ["--closing", "2", "--fresh", "5", "--turns", "1"]
     command = [sys.executable, str(EXAMPLES / "drag" / "drag.py"), "out", *options]
     wide = {**os.environ, "COLUMNS": "150"}

@@ -79,6 +79,9 @@ def main():
         "--level", default="coarse", choices=["coarse", "medium", "fine"], help="of the flows that are searched with"
     )
     parser.add_argument(
+        "--label-level", choices=["coarse", "medium", "fine"], help="of the exemplars' flows, if not the same"
+    )
+    parser.add_argument(
         "--half",
         default="auto",
         choices=["auto", "yes", "no"],
@@ -88,7 +91,7 @@ def main():
     parser.add_argument("--closing", type=int, default=16, help="placements in the closed loop")
     parser.add_argument("--fresh", type=int, default=8, help="placements that design and reference are solved on anew")
     parser.add_argument("--finer", action="store_true", help="and again one level finer")
-    parser.add_argument("--turns", type=int, default=3, help="corrections of the ask")
+    parser.add_argument("--turns", type=int, default=8, help="corrections of the ask, as far as noise lets tell them")
     parser.add_argument("--seed", type=int, default=0, help="of the family and its fits")
     parser.add_argument("--reference", default="base", help="the exemplar that is to lose drag")
     parser.add_argument("--labels", type=Path, help="labels.csv of an earlier run: exemplars are not solved")
@@ -102,6 +105,8 @@ def main():
         parser.error(f"--closing, --placements: expected {FRESH // 2} or fewer: from {FRESH} on placements are fresh")
     if args.labels and not args.labels.is_file():
         parser.error(f"--labels: {args.labels} is not there")
+    if args.labels and args.label_level:
+        parser.error("--label-level: the exemplars' flows are in --labels already: leave one of the two out")
     try:
         confirmed = study(args)
     except LampoptError as error:
@@ -117,7 +122,7 @@ def study(args):
     flow = {"level": args.level, "half": args.half, "placements": args.placements, "folder": kept}
     plugins.make("measure", Spec("openfoam-drag", **flow))  # a wrong option is told before anything is solved
     cars = family(folder, args.exemplars, args.seed, args.edge)
-    solved_at = args.level
+    solved_at = args.label_level or args.level
     if args.labels:
         cars, solved_at = cached(cars, args.labels)
     name = f"{args.decoder}-{args.exemplars}-{args.seed}{'-given' if args.labels else ''}"
@@ -128,10 +133,10 @@ def study(args):
     if not args.labels:
         with progress_bar("solving the exemplars") as progress, processes(args.workers) as executor:
             bank = lampopt.label(
-                bank, Spec("openfoam-drag", **flow), {"drag": "drag"}, store=folder / f"{name}-labelled.lamp",
-                executor=executor, progress=progress, plugins=plugins,
+                bank, Spec("openfoam-drag", **flow | {"level": solved_at}), {"drag": "drag"},
+                store=folder / f"{name}-{solved_at}.lamp", executor=executor, progress=progress, plugins=plugins,
             )  # fmt: skip
-        keep_labels(bank, args.level, folder / "labels.csv")
+        keep_labels(bank, solved_at, folder / "labels.csv")
     drag = bank.labels[:, 0]
     noise = 2 * PAIRED / args.closing**0.5  # what the loop's placements do not tell apart
     model = lampopt.fit_model(bank, "best", ["drag"], plugins=plugins)
