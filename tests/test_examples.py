@@ -144,6 +144,7 @@ LABELS = EXAMPLES / "drag" / "labels.csv"
         (["--level", "rough"], "invalid choice"),
         (["--labels", "none.csv"], "--labels: none.csv is not there"),
         (["--closing", "51"], "--closing, --placements: expected 50 or fewer"),
+        (["--wider", "0"], "--wider: expected a factor from 0 to 3"),
         (["--labels", str(LABELS), "--label-level", "coarse"], "--label-level: the exemplars' flows are in --labels"),
     ],
 )
@@ -160,6 +161,15 @@ def test_make_drags_family_makes_cars(tmp_path, monkeypatch):
     cars = importlib.import_module("drag").family(tmp_path, 12, 0, 120.0)
     assert [q.unit for q in cars.space] == ["mm"] * 7
     assert all(mesh.is_watertight for mesh in cars.meshes)
+
+
+def test_make_drags_family_can_be_wider_in_what_is_not_held(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES / "drag")
+    drag = importlib.import_module("drag")
+    plain, wide = (drag.family(tmp_path, 9, 0, 120.0, wider).parameters for wider in (1, 1.5))
+    names = [q.name for q in drag.family(tmp_path, 9, 0, 120.0).space]
+    factors = np.array([1.0 if name in drag.HELD else 1.5 for name in names])
+    np.testing.assert_allclose(wide, plain * factors, rtol=1e-9, atol=1e-9)
 
 
 def test_make_drag_takes_labels_of_its_own_cars_only(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import argparse
 import csv
 import shutil
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,18 +33,16 @@ FRESH = 100  # number of the first placement that the search never saw
 FINER = {"coarse": "medium", "medium": "fine"}
 
 
-def family(folder, count, seed, edge):
-    """Exemplars: the middle car of the family `car` and its deformations."""
+def family(folder, count, seed, edge, wider=1.0):
+    """Exemplars: the middle car of the family `car` and its deformations, those that are not held `wider` as far."""
     folder.mkdir(parents=True, exist_ok=True)
     sedan = lampopt.exemplars("car", design="ends", count=33, edge=edge).meshes[0]
     sedan.export(folder / "sedan.stl")
-    options = {"custom": HERE / "family.toml", "deformations": deformations(), "count": count, "seed": seed}
+    known = tomllib.loads((HERE / "family.toml").read_text(encoding="utf-8"))
+    free = {name: one for name, one in known.items() if name not in HELD}
+    ranges = ", ".join(f"{name}={wider * one['low']:g}:{wider * one['high']:g}" for name, one in free.items())
+    options = {"custom": HERE / "family.toml", "deformations": [*known], "ranges": ranges, "count": count, "seed": seed}
     return lampopt.exemplars("morph", mesh=folder / "sedan.stl", unit="mm", **options)
-
-
-def deformations():
-    lines = (HERE / "family.toml").read_text(encoding="utf-8").splitlines()
-    return [line[1 : line.index("]")] for line in lines if line.startswith("[")]
 
 
 def cached(cars, file):
@@ -74,6 +73,7 @@ def main():
     parser.add_argument("folder", type=Path, nargs="?", default=Path("demo/openfoam"))
     parser.add_argument("--exemplars", type=int, default=24)
     parser.add_argument("--edge", type=float, default=60.0, help="of the sedan's mesh [mm]")
+    parser.add_argument("--wider", type=float, default=1.0, help="factor on the ranges of what is not held")
     parser.add_argument("--decoder", default="mesh-template")
     parser.add_argument(
         "--level", default="coarse", choices=["coarse", "medium", "fine"], help="of the flows that are searched with"
@@ -103,6 +103,8 @@ def main():
         parser.error("--fresh: expected two placements or more, of which a standard error can be told")
     if 2 * max(args.closing, args.placements) > FRESH:
         parser.error(f"--closing, --placements: expected {FRESH // 2} or fewer: from {FRESH} on placements are fresh")
+    if not 0 < args.wider <= 3:
+        parser.error("--wider: expected a factor from 0 to 3, 1 for the family as it is")
     if args.labels and not args.labels.is_file():
         parser.error(f"--labels: {args.labels} is not there")
     if args.labels and args.label_level:
@@ -121,11 +123,12 @@ def study(args):
     kept = str((folder / "flows").absolute())
     flow = {"level": args.level, "half": args.half, "placements": args.placements, "folder": kept}
     plugins.make("measure", Spec("openfoam-drag", **flow))  # a wrong option is told before anything is solved
-    cars = family(folder, args.exemplars, args.seed, args.edge)
+    cars = family(folder, args.exemplars, args.seed, args.edge, args.wider)
     solved_at = args.label_level or args.level
     if args.labels:
         cars, solved_at = cached(cars, args.labels)
-    name = f"{args.decoder}-{args.exemplars}-{args.seed}{'-given' if args.labels else ''}"
+    wider = "" if args.wider == 1 else f"-wider-{args.wider:g}"
+    name = f"{args.decoder}-{args.exemplars}-{args.seed}{wider}{'-given' if args.labels else ''}"
     with progress_bar("building the bank") as progress:
         bank = lampopt.build_bank(
             cars, args.decoder, seed=args.seed, store=folder / f"{name}.lamp", progress=progress, plugins=plugins
