@@ -28,6 +28,7 @@ from lampopt.units import factor
 
 CLOSE = 1e-4  # what is off by less [half of the bank's range] needs no other turn
 WITHIN = 0.5  # nor what is off by less than this part of the standard error that its measure tells
+BESIDE = 1e-2  # nor, beside one of those, what is off by less [half of the bank's range]: each turn costs its measuring
 FARTHEST = 1.0  # correction in one turn [half of the bank's range]
 Solve = Callable[[Mapping[str, float], Mapping[str, Array]], tuple[Posed, Mix]]
 log = logging.getLogger("lampopt")
@@ -244,9 +245,10 @@ def _near(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> 
     found = []
     for r in readings.values():
         error = r.factor * quantities.value(told, mix.alpha) if (told := error_of(r.quantity)) else np.nan
-        near = WITHIN * error / (r.column.spread / 2)
-        found.append(max(CLOSE, near) if np.isfinite(near) else CLOSE)
-    return np.array(found)
+        found.append(WITHIN * error / (r.column.spread / 2))
+    near = np.array(found)
+    noisy = np.isfinite(near)
+    return np.maximum(np.where(noisy, near, BESIDE if noisy.any() else 0.0), CLOSE)
 
 
 def _read(readings: Mapping[str, Reading], quantities: Quantities, mix: Mix) -> Array:
