@@ -10,7 +10,7 @@ import pytest
 
 import lampopt
 from lampopt import Reduce, Study
-from lampopt.closing import Reading, _next, _planes
+from lampopt.closing import Reading, _near, _next, _planes
 from lampopt.errors import StudyError
 from lampopt.plane import Plane
 from lampopt.plugins import Plugins
@@ -362,6 +362,22 @@ def test_what_is_off_by_less_than_half_the_error_that_is_told_is_not_followed(ba
     study = {"reference": "box_6", "objective": Reduce("drag", by=0.1), "turns": 2}
     result = run(bank, **study, measures={"air": measure}, measured={"drag": "air.drag"})
     assert result.provenance["turns"] == turns
+
+
+def test_an_error_is_held_against_the_range_in_the_unit_of_what_is_asked(bank):
+    class Told(Volume):
+        names, units = ("drag", "drag_error"), ("", "")
+
+        def __call__(self, mesh):
+            return np.append(super().__call__(mesh), 30.0)
+
+    study = Study(bank, reference="box_4", targets={"drag": 0.3}, measures={"air": Told()}, turns=1)
+    study = replace(study, measured={"drag": "air.drag"})
+    quantities = Task.of(study, PLUGINS).wishes.quantities
+    column = Column("drag", "", np.array([1.0, 3.0]))
+    reading = Reading(column, quantities.measured("air.drag"), 1e-3, 0.3, 1.0)
+    mix = run(bank, reference="box_4").design.mix
+    np.testing.assert_allclose(_near({"drag": reading}, quantities, mix), [0.5 * 0.03])
 
 
 def test_beside_what_is_noisy_the_rest_need_not_be_met_to_the_last_digit(bank):

@@ -183,6 +183,23 @@ def test_make_drag_takes_labels_of_its_own_cars_only(tmp_path, monkeypatch):
             drag.cached(drag.family(tmp_path, count, seed, 120.0), LABELS)
 
 
+def test_make_drag_labels_at_the_level_that_is_said(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES / "drag")
+    drag = importlib.import_module("drag")
+    asked = []
+
+    def label(bank, measure, *_, **__):
+        asked.append(measure.options["level"])
+        raise InputError("that is enough")
+
+    monkeypatch.setattr(drag.lampopt, "label", label)
+    common = ["drag.py", str(tmp_path), "--exemplars", "3", "--edge", "120", "--level", "medium"]
+    for more in ([], ["--label-level", "coarse"]):
+        monkeypatch.setattr(sys, "argv", common + more)
+        assert drag.main() == 2
+    assert asked == ["medium", "coarse"]
+
+
 # No fake of a solver can confirm a cut; `.ci/run` installs OpenFOAM, so that CI does not skip it.
 @pytest.mark.skipif(not shutil.which("simpleFoam"), reason="OpenFOAM is not installed: apt-get install openfoam")
 def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):

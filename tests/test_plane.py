@@ -59,6 +59,10 @@ def test_as_many_parameters_as_exemplars_explain_nothing():
     assert plane(labelled(lambda p: p[:, 0], count=3)) is None
 
 
+def test_a_label_that_is_the_same_everywhere_tells_nothing():
+    assert plane(labelled(lambda p: np.full(len(p), 0.3))) is None
+
+
 def test_exemplars_without_a_label_have_no_say():
     bank = labelled(lambda p: np.where(np.arange(len(p)) < 2, np.nan, p[:, 0]))
     spread = np.ptp(bank.parameters[:, 0])
