@@ -21,10 +21,11 @@ from trimesh import Trimesh
 
 import lampopt
 from lampopt.errors import LampoptError
+from lampopt.plane import MODEL
 from lampopt.types import Array
 
 from .body import Body, judge_at
-from .common import ROOT, Bench, Row, line, module_at, options, source, threads
+from .common import ROOT, Bench, Row, core, line, module_at, options, source, threads
 from .document import put, show, stamped
 from .drag import CUT, Once, Some, Studies, cases, of_body
 
@@ -118,7 +119,9 @@ def way(studies: Studies, name: str, reference: int, held: tuple[str, ...]) -> R
             return {"evaluations": before + len(drag.known)}
         return {"evaluations": None}
 
-    case = studies.known(name, reference, list(held), BUDGET, CLOSE, KEPT, source(sys.modules[__name__]))
+    ours = [*core("active", "evaluations", "fitted", "goals", "study"), source(sys.modules[__name__])]
+    used = [source(studies.bench.plugins.get(*which).resolve()) for which in (("solver", "nlopt"), ("model", MODEL))]
+    case = studies.known(name, reference, list(held), BUDGET, CLOSE, KEPT, ours, used)
     return studies.bench.scores.get(case, make)
 
 
@@ -129,7 +132,7 @@ def of_flow(bench: Bench, workers: int) -> Studies:
     cars, _ = example.cached(example.family(bench.cache / "cars", EXEMPLARS, 0, EDGE_MM), EXAMPLE / "labels.csv")
     flow = lampopt.Spec("openfoam-drag", **LABELLED, workers=workers, folder=str((bench.cache / "flows").absolute()))
     drag = Some(bench.plugins.make("measure", flow), ("drag",))
-    code: list[object] = ["flow", LABELLED]
+    code: list[object] = ["flow", LABELLED, drag.of.program()]
     return Studies(
         bench, bench.bank("cars", cars, bench.decoder), drag, bench.plugins.make("measure", "extents"), code, HELD
     )

@@ -147,7 +147,7 @@ def active(
     quantity = quantities[name]
     if quantity.measure is None:
         raise StudyError(f"active: {name!r} is not measured: name a value of one of the study's measures")
-    if (key := quantity.measure[0]) not in task.measures:  # an installed one, whose work is to be kept too
+    if (key := quantity.measure[0]) not in task.measures:  # an installed one, which is to be reported too
         study = replace(study, measures={**study.to_be_measured(), key: Spec(key)})
         task = Task.of(study, plugins)
         task = task if folder is None else task.keeping(folder.absolute() / MEASURED)

@@ -32,6 +32,7 @@ class _Kept:
     key: bytes
     mesh: Trimesh | None
     values: dict[tuple[str, int], Array] = field(default_factory=dict)
+    reasons: dict[tuple[str, int], str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +104,12 @@ class Chain:
             except (MeasureError, EmptyMesh) as error:
                 if may_pass(error):
                     raise
-                kept.values[key] = none
+                kept.values[key], kept.reasons[key] = none, str(error)
         return kept.values[key]
+
+    def why_not(self, name: str, measure: Measure, alpha: Array) -> str:
+        """What `measure` said where it has no values; nothing where it was not asked, or there is no surface."""
+        return self._made(alpha).reasons.get((name, id(measure)), "")
 
     def differentiable(self, measure: Measure) -> bool:
         """Whether there are derivatives all the way."""

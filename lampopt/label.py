@@ -26,12 +26,12 @@ from lampopt.errors import BankError, EmptyMesh, InputError, MeasureError, Sweep
 from lampopt.fitting import ranged
 from lampopt.identity import asked_program, hashed, told
 from lampopt.identity import whole as all_of
-from lampopt.measured import values_of
+from lampopt.measured import keeping, values_of
 from lampopt.partial import Partial
 from lampopt.plugins import Plugins
 from lampopt.pool import interruptible
 from lampopt.progress import silent
-from lampopt.protocols import External, Keeping, Measure, Progress
+from lampopt.protocols import External, Measure, Progress
 from lampopt.reading import brief, path_of, why
 from lampopt.types import Array, Bank, Parameter, Spec, expect_bank
 from lampopt.units import filled, said, whole
@@ -118,8 +118,8 @@ def label(
     with nullcontext() if path is None else Partial.open(path, plan) as parts:
         if path is not None and path.exists():  # another process has finished it meanwhile
             return _finished(path, plan, names, made)
-        if path is not None and isinstance(made, Keeping):
-            made = made.kept_in(path.absolute().with_name(path.name + MEASURED))
+        if path is not None:
+            made = keeping(made, path.absolute().with_name(path.name + MEASURED))
         work = _Work(bank, called, made, [*names.values()], resolution, parts, plugins, program)
         found, failed = work.done(executor, progress or silent)
         given = choice.options if isinstance(choice, Spec) else {}

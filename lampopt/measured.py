@@ -6,6 +6,7 @@ A parameter that no measure tells directly may be told by a learned one, `ramp.m
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from lampopt.errors import InputError, MeasureError, PluginError
 from lampopt.fitted import load_measure
 from lampopt.plugins import Plugins
-from lampopt.protocols import Measure
+from lampopt.protocols import Keeping, Measure
 from lampopt.types import Array, Exemplars
 from lampopt.units import factor, filled
 
@@ -73,6 +74,11 @@ def measure_each(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: 
         unit = filled(measure.units[place], exemplars.unit)
         values[:, column] *= factor(unit, q.unit, f"measured: {address!r} for parameter {parameter!r}")
     return values
+
+
+def keeping(measure: Measure, folder: Path) -> Measure:
+    """`measure`, which keeps what it works out in `folder` if it can."""
+    return measure.kept_in(folder) if isinstance(measure, Keeping) else measure
 
 
 def values_of(name: str, measure: Measure, mesh: Trimesh) -> Array:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lampopt.chain import Chain
 from lampopt.errors import InputError, PluginError, StudyError
-from lampopt.measured import resolve_address
+from lampopt.measured import keeping, resolve_address
 from lampopt.protocols import Measure, Model
 from lampopt.reading import brief
 from lampopt.solve import Column, column, columns
@@ -59,6 +60,10 @@ class Quantities:
         By the names under which the study has them.
     chain
         What makes a measure's mesh; None where nothing is decoded.
+    plugins
+        Where measures come from that the study does not name.
+    kept_in
+        Where these keep what they work out, in folders of their names; None for nowhere.
     """
 
     bank: Bank
@@ -66,6 +71,7 @@ class Quantities:
     measures: Mapping[str, Measure] = field(default_factory=dict)
     chain: Chain | None = None
     plugins: Plugins | None = None
+    kept_in: Path | None = None
     _at: dict[tuple[str, str | None, str | None], float] = field(default_factory=dict, repr=False)
 
     def __getitem__(self, name: str) -> Quantity:
@@ -112,6 +118,7 @@ class Quantities:
             if self.plugins is None:
                 raise StudyError(f"measured: {address!r}: nothing is installed here")
             name, measure, place = resolve_address(address, self.plugins)
+            measure = measure if ":" in address else self._kept(name, measure)
         unit = filled(measure.units[place], self.bank.frame.unit)
         return Quantity(address, unit, measure=(name, measure, place))
 
@@ -140,13 +147,16 @@ class Quantities:
         elif self.plugins is None or ("measure", key) not in self.plugins.offers:
             return None
         else:
-            measure = self.plugins.make("measure", key)
+            measure = self._kept(key, self.plugins.make("measure", key))
         if value not in measure.names:
             raise StudyError(
                 f"{name!r}: measure {key!r} has no such value; it has {', '.join(f'{key}.{v}' for v in measure.names)}"
             )
         place = tuple(measure.names).index(value)
         return Quantity(name, filled(measure.units[place], self.bank.frame.unit), measure=(key, measure, place))
+
+    def _kept(self, key: str, measure: Measure) -> Measure:
+        return measure if self.kept_in is None else keeping(measure, self.kept_in / key)
 
     def at(self, name: str, reference: str | None, address: str | None = None) -> float:
         """The value of `name` at an exemplar; at the bank's mean where there is no reference.
@@ -170,8 +180,8 @@ class Quantities:
             raise StudyError(f"reference {reference!r}: no exemplar of this bank; there are {known}")
         n = len(self.bank)
         alpha = np.full(n, 1 / n) if reference is None else np.eye(n)[self.bank.names.index(reference)]
+        told = quantity if address is None else self.measured(address)
         if address is not None:
-            told = self.measured(address)
             value = self.value(told, alpha) * factor(told.unit, quantity.unit, f"{address!r} for {name!r}")
         elif quantity.column is not None:
             values = quantity.column.values
@@ -180,7 +190,7 @@ class Quantities:
             value = self.value(quantity, alpha)
         if value != value:
             what = "the mean shape" if reference is None else f"the reference {reference!r}"
-            raise StudyError(f"{name!r}: {what} has no value for it; choose another")
+            raise StudyError(f"{name!r}: {what} has no value for it; choose another{self._why_not(told, alpha)}")
         return value
 
     def value(self, quantity: Quantity, alpha: Array) -> float:
@@ -195,6 +205,13 @@ class Quantities:
             raise StudyError(f"{quantity.name!r}: is measured on meshes, which nothing makes here")
         name, measure, place = quantity.measure
         return float(self.chain.values(name, measure, alpha)[place])
+
+    def _why_not(self, quantity: Quantity, alpha: Array) -> str:
+        """What a measure that has no value said."""
+        if quantity.measure is None or self.chain is None:
+            return ""
+        why = self.chain.why_not(*quantity.measure[:2], alpha)
+        return f": {why}" if why else ""
 
     def over_exemplars(self, quantity: Quantity) -> Array:
         """(N,) what a model says of the exemplars."""

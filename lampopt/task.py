@@ -24,9 +24,10 @@ from lampopt.evaluations import Memory
 from lampopt.fitted import load_model
 from lampopt.goals import Minimise
 from lampopt.identity import hashed, offered, told
+from lampopt.measured import keeping
 from lampopt.plugins import Plugins
 from lampopt.progress import silent
-from lampopt.protocols import Checker, Decoder, External, Keeping, Measure, Model, Solver
+from lampopt.protocols import Checker, Decoder, External, Measure, Model, Solver
 from lampopt.quantities import Quantities
 from lampopt.question import Question
 from lampopt.reading import unplaced
@@ -78,10 +79,7 @@ class Task:
 
     def keeping(self, folder: Path) -> Task:
         """The same, its measures keeping what they work out in folders of their names there, where they can."""
-        kept = {
-            name: made.kept_in(folder / name) if isinstance(made, Keeping) else made
-            for name, made in self.measures.items()
-        }
+        kept = {name: keeping(made, folder / name) for name, made in self.measures.items()}
         return replace(self, measures=kept, kept_in=folder)
 
     def asked(self, change: Mapping[str, Value]) -> dict[str, float]:
@@ -93,7 +91,7 @@ class Task:
     def wishes(self) -> Wishes:
         """What the study asks, with all that it may name."""
         chain = Chain(self.bank, self.decoder, self.study.resolution)
-        quantities = Quantities(self.bank, self.models, self.measures, chain, self.plugins)
+        quantities = Quantities(self.bank, self.models, self.measures, chain, self.plugins, self.kept_in)
         return Wishes(self.study, self.bank, self.decoder, self.limits, quantities)
 
     @cached_property

@@ -71,7 +71,9 @@ def test_what_is_declared_measurable_is_measured():
 
 
 def test_each_end_alone():
-    exemplars = CarSource(count=33, design="ends")()
+    assert len(CarSource()()) == 100
+    exemplars = CarSource(design="ends")()
+    assert len(exemplars) == 33
     assert exemplars.names[0] == "middle"
     changed = exemplars.parameters != exemplars.parameters[0]
     for name, row in zip(exemplars.names[1:], changed[1:], strict=True):
@@ -84,7 +86,7 @@ def test_each_end_alone():
         ({"edge": 5.0}, "edge: expected 15 to 120 mm, got 5"),
         ({"edge": float("nan")}, "edge: .* got nan"),
         ({"count": 0}, "at least 1, got 0"),
-        ({"design": "ends"}, "'ends' has 33 exemplars, got count=100"),
+        ({"design": "ends", "count": 100}, "'ends' has 33 exemplars, got count=100"),
         ({"design": "grid"}, "expected one of .*, got 'grid'"),
     ],
 )

@@ -162,6 +162,31 @@ def test_sources(call, ask):
     assert "not working: source 'gone'" in err
 
 
+def test_options_of_one_are_told_with_what_they_are(call, ask):
+    code, document, _ = ask("options", "decoder")
+    offers = {entry["name"]: entry for entry in document["offers"]}
+    assert code == 0
+    assert {"grid", "mesh-template", "sdf-mlp"} <= set(offers)
+    assert offers["vertex-template"]["options"] == []
+    assert {"name": "octaves", "type": "int", "required": False, "default": 2} in offers["sdf-mlp"]["options"]
+    assert "Fourier features sin" not in call("options", "decoder")[1]
+    code, err = call("options", "decoder", "sdf-mlp")
+    assert code == 0
+    assert re.search(r"octaves +int +2", err)
+    assert "Fourier features sin" in err
+    assert "mesh-template" not in err
+
+
+def test_options_of_what_is_not_there(call):
+    code, err = call("options", "solver", "nobody")
+    assert code == 2
+    assert "solver 'nobody' is not installed; installed are: casadi" in err
+    code, err = call("options", "source", "gone")
+    assert code == 2
+    assert "cannot load 'no_such_module:Gone'" in err
+    assert call("options", "engine")[0] == 2
+
+
 def test_check_plugin(call, ask):
     code, document, _ = ask("check-plugin", "kkt")
     assert (code, document["passed"]) == (0, True)

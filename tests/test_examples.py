@@ -183,6 +183,29 @@ def test_make_drag_takes_labels_of_its_own_cars_only(tmp_path, monkeypatch):
             drag.cached(drag.family(tmp_path, count, seed, 120.0), LABELS)
 
 
+def test_make_drag_goes_on_where_a_car_has_no_drag(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES / "drag")
+    drag = importlib.import_module("drag")
+    told = LABELS.read_text(encoding="utf-8").replace("drag,level", "drag").replace(",coarse", "").splitlines()
+    told[5] = told[5].rpartition(",")[0] + ","
+    (tmp_path / "labels.csv").write_text("\n".join(told), encoding="utf-8")
+    cars, level = drag.cached(drag.family(tmp_path, 24, 0, 120.0), tmp_path / "labels.csv")
+    assert np.isfinite(cars.labels).sum() == 23 and level == "of no level told"
+    asked = []
+
+    def run(study, *_, **__):
+        asked.append(study.limits["measured.drag"])
+        raise InputError("that is enough")
+
+    monkeypatch.setattr(drag.lampopt, "run", run)
+    more = ["--edge", "120", "--decoder", "vertex-template", "--labels", str(tmp_path / "labels.csv")]
+    monkeypatch.setattr(sys, "argv", ["drag.py", str(tmp_path / "out"), *more])
+    assert drag.main() == 2
+    assert 0 < asked[0] < 1
+    monkeypatch.setattr(sys, "argv", ["drag.py", str(tmp_path / "out"), *more, "--reference", "basis"])
+    assert drag.main() == 2 and len(asked) == 1
+
+
 def test_make_drag_labels_at_the_level_that_is_said(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(EXAMPLES / "drag")
     drag = importlib.import_module("drag")
@@ -224,6 +247,11 @@ def test_make_drag_with_known_labels_is_confirmed_by_the_solver(tmp_path):
     assert len(held) == 3 and max(held) <= 1
     for file in ("drag.png", "design.stl", "reference.stl"):
         assert (tmp_path / "out" / file).stat().st_size > 10_000
+    flows = sorted((tmp_path / "out" / "flows").glob("**/*.json"))
+    assert len(flows) >= 14
+    again = subprocess.run(command, cwd=tmp_path, env=wide, capture_output=True, text=True, timeout=600)
+    assert again.stdout == done.stdout  # from what is kept:
+    assert sorted((tmp_path / "out" / "flows").glob("**/*.json")) == flows
 
 
 @pytest.fixture(scope="module")

@@ -233,7 +233,15 @@ def test_place_scale_and_order_make_no_difference():
     faces = np.argsort(order)[moved.faces][draw.permutation(len(moved.faces))]
     again = cleaned(trimesh.Trimesh(moved.vertices[order], faces, process=False), **FLOW)
     assert again.digest == first.digest and again.stl(0.0) == first.stl(0.0)
+    assert (again.width, again.height) == (first.width, first.height)  # a grid's, and so of what is kept
     assert again.length == pytest.approx(4000)
+
+
+def test_which_side_of_zero_rounding_leaves_makes_no_difference():
+    first = cleaned(car(), **FLOW)
+    vertices = np.where(np.abs(first.vertices) < 1e-12, -0.0, first.vertices)
+    assert np.signbit(vertices[vertices == 0]).any()
+    assert replace(first, vertices=vertices).digest == first.digest
 
 
 def test_axes_turn_the_body_into_the_wind():

@@ -20,6 +20,7 @@ from rich.table import Table
 
 import lampopt
 from lampopt.errors import InputError, LampoptError
+from lampopt.meshfile import load_mesh
 from lampopt.plugins import Plugins
 from lampopt.pool import processes
 from lampopt.progress import progress_bar
@@ -52,11 +53,11 @@ def cached(cars, file):
     labels, levels = [], set()
     for name, parameters in zip(cars.names, cars.parameters, strict=True):
         row = known.get(name, {})
-        levels.add(row.get("level"))
+        levels.add(row.get("level") or "of no level told")
         told = [float(row.get(q.name) or "nan") for q in cars.space]
         if not np.allclose(told, parameters, rtol=1e-4, atol=1e-6):
             raise InputError(f"{file}: has no drag of {name} as it is here: made of another family, number or seed")
-        labels.append([float(row["drag"])])
+        labels.append([float(row.get("drag") or "nan")])
     return replace(cars, labels=np.array(labels), label_space=(Parameter("drag"),)), " and ".join(sorted(levels))
 
 
@@ -127,6 +128,8 @@ def study(args):
     solved_at = args.label_level or args.level
     if args.labels:
         cars, solved_at = cached(cars, args.labels)
+    if args.reference not in cars.names:
+        raise InputError(f"--reference: expected one of {', '.join(cars.names)}, got {args.reference!r}")
     wider = "" if args.wider == 1 else f"-wider-{args.wider:g}"
     name = f"{args.decoder}-{args.exemplars}-{args.seed}{wider}{'-given' if args.labels else ''}"
     with progress_bar("building the bank") as progress:
@@ -140,14 +143,15 @@ def study(args):
                 store=folder / f"{name}-{solved_at}.lamp", executor=executor, progress=progress, plugins=plugins,
             )  # fmt: skip
         keep_labels(bank, solved_at, folder / "labels.csv")
-    drag = bank.labels[:, 0]
+    known = dict(zip(bank.names, bank.labels[:, 0].tolist(), strict=True))
+    drags = [drag for drag in known.values() if np.isfinite(drag)]  # a car without a grid has none
     noise = 2 * PAIRED / args.closing**0.5  # what the loop's placements do not tell apart
     model = lampopt.fit_model(bank, "best", ["drag"], plugins=plugins)
     wish = lampopt.Study(
         bank, reference=args.reference, keep=tuple(HELD), objective=lampopt.Reduce("drag", by=CUT),
         measures={"flow": Spec("openfoam-drag", **flow | {"placements": args.closing, "workers": args.workers})},
         measured={"drag": "flow.drag", **HELD}, turns=args.turns,
-        limits={"measured.drag": 2 * noise * float(drag[bank.names.index(args.reference)] / np.ptp(drag))},
+        limits={"measured.drag": 2 * noise * known[args.reference] / np.ptp(drags)},
     )  # fmt: skip
     with progress_bar("solving and correcting the ask") as progress:
         result = lampopt.run(wish, folder / f"run-{name}-{args.reference}", progress=progress, plugins=plugins)
@@ -155,20 +159,19 @@ def study(args):
         raise LampoptError("the design has no surface, or could not be measured for a reason that may pass: see above")
     before = lampopt.run(lampopt.Study(bank, reference=args.reference), plugins=plugins).design
     alpha = np.array([before.mix.alpha, result.design.mix.alpha])
+    before.mesh.export(folder / "reference.stl")  # confirmed is what is handed over: the files' meshes
+    shutil.copy(result.folder / "mesh.stl", folder / "design.stl")
+    reference, design = (load_mesh(folder / f"{which}.stl") for which in ("reference", "design"))
     predicted = model(alpha @ bank.parameters[:, [[q.name for q in bank.space].index(i) for i in model.inputs]])[:, 0]
     compared = {}
     with progress_bar("solving design and reference anew") as progress:
         for done, level in enumerate(levels := [args.level, *([FINER[args.level]] if args.finer else [])]):
             progress(done / len(levels), level)
             anew = flow | {"level": level, "placements": args.fresh, "first": FRESH, "workers": args.workers}
-            compared[level] = plugins.make("measure", Spec("openfoam-drag", **anew)).compared(
-                result.design.mesh, before.mesh
-            )
+            compared[level] = plugins.make("measure", Spec("openfoam-drag", **anew)).compared(design, reference)
     r2 = model.cross_validated["drag"]["r2"]
-    told(result, before, bank, predicted, f"labels {solved_at}, R² left out {r2:.2f}", compared)
-    shutil.copy(result.folder / "mesh.stl", folder / "design.stl")
-    before.mesh.export(folder / "reference.stl")
-    pictures(before.mesh, result.design.mesh, compared[args.level], folder / "drag.png")
+    told(result, (reference, design), bank, predicted, f"labels {solved_at}, R² left out {r2:.2f}", compared)
+    pictures(reference, design, compared[args.level], folder / "drag.png")
     print(
         *(folder / part for part in ("drag.png", "design.stl", f"{result.folder.parent.parent.name}/report.html")),
         sep="\n",
@@ -181,8 +184,8 @@ def as_asked(change):
     return abs(change.value + CUT) <= 2 * change.error
 
 
-def told(result, before, bank, predicted, labels, compared):
-    """What was asked, predicted and solved, what was held, and whether every check passed."""
+def told(result, meshes, bank, predicted, labels, compared):
+    """What was asked of the second of two meshes, predicted, solved and held, and whether every check passed."""
     shown = Table("", "asked", "found", "", title="10 % less drag, the rest held")
     change = 100 * (predicted[1] / predicted[0] - 1)
     shown.add_row("drag, by the model of the labels", f"{-100 * CUT:+.1f} %", f"{change:+.1f} %", labels)
@@ -197,10 +200,7 @@ def told(result, before, bank, predicted, labels, compared):
         )
         shown.add_row("  times frontal area", "", f"{100 * area.value:+.1f} ± {100 * area.error:.1f} %", area.verdict)
     for name, address in HELD.items():
-        values = [
-            lampopt.measure(address.partition(".")[0], mesh)[address.partition(".")[2]]
-            for mesh in (before.mesh, result.design.mesh)
-        ]
+        values = [lampopt.measure(address.partition(".")[0], mesh)[address.partition(".")[2]] for mesh in meshes]
         part = abs(values[1] - values[0]) / float(np.ptp(bank.parameters[:, [q.name for q in bank.space].index(name)]))
         shown.add_row(f"{name}, measured", f"{values[0]:.0f} mm", f"{values[1]:.0f} mm", f"{part:.2%} of its range off")
     failed = [check.name for check in result.checks if not check.passed]

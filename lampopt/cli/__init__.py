@@ -27,7 +27,7 @@ from lampopt.cli.label import label
 from lampopt.cli.learn import model, surrogate
 from lampopt.cli.measure import measure
 from lampopt.cli.moved import residuals, sensitivities
-from lampopt.cli.plugins import check_plugin, plugins, sources
+from lampopt.cli.plugins import check_plugin, options, plugins, sources
 from lampopt.cli.report import report
 from lampopt.cli.trust import calibrate, volume
 
@@ -46,6 +46,7 @@ def cli() -> None:
 for command in (
     plugins,
     sources,
+    options,
     bank,
     intake,
     wrap,

@@ -48,7 +48,13 @@ def bank() -> None:
 @bank.command(resumes="the same command goes on where it stopped")
 @_source
 @_settings
-@click.option("--decoder", default="mesh-template", show_default=True, metavar="NAME", help="What fits them.")
+@click.option(
+    "--decoder",
+    default="mesh-template",
+    show_default=True,
+    metavar="NAME",
+    help="What fits them; see `lampopt options decoder`.",
+)
 @click.option(
     "--decoder-set", "decoder_settings", multiple=True, metavar="OPTION=VALUE", help="An option of the decoder."
 )

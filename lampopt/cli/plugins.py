@@ -1,4 +1,4 @@
-"""`lampopt plugins`, `sources`, `check-plugin`: what is installed, and does it keep its promises?"""
+"""`lampopt plugins`, `sources`, `options`, `check-plugin`: what is installed, and does it keep its promises?"""
 
 from __future__ import annotations
 
@@ -60,28 +60,49 @@ def sources() -> Answer:
 
     These are what `lampopt bank build` takes behind --set, with their types and defaults.
     """
+    return _offered_as("source", "sources")
+
+
+@click.command(cls=Command)
+@click.argument("kind", type=click.Choice(KINDS))
+@click.argument("name", required=False)
+def options(kind: str, name: str | None) -> Answer:
+    """List what there is of a kind, and its options.
+
+    With types and defaults; with a NAME also what each option is, in its author's words.
+
+        lampopt options decoder sdf-mlp
+    """
+    return _offered_as(kind, "offers", name)
+
+
+def _offered_as(kind: str, key: str, name: str | None = None) -> Answer:
+    """What is offered of a kind, by default all of it, under `key` of the document."""
     found = Plugins.load().report()
     entries: list[dict[str, Any]] = []
     problems: list[dict[str, Any]] = [asdict(p) for p in found.problems]
-    for (kind, name), offer in sorted(found.offers.items()):
-        if kind != "source":
-            continue
+    told = ""
+    for offer in (
+        [found.get(kind, name)] if name else [offer for (k, _), offer in sorted(found.offers.items()) if k == kind]
+    ):
         owner = {"plugin": offer.plugin, "distribution": offer.distribution, "version": offer.version}
         try:
             cls = offer.resolve()
         except PluginError as error:  # one that does not load costs only itself
+            if name:
+                raise
             problems.append({**owner, "cause": str(error)})
             continue
-        about = (inspect.getdoc(cls) or "").partition("\n")[0]
-        entries.append({"name": name, **owner, "about": about, "options": _options(cls)})
+        told = inspect.getdoc(cls) or ""
+        entries.append({"name": offer.name, **owner, "about": told.partition("\n")[0], "options": _options(cls)})
     rows = [
         (e["name"] if not i else "", option["name"], option["type"], _default(option), e["about"] if not i else "")
         for e in entries
         for i, option in enumerate(e["options"] or [{"name": "", "type": "", "required": False, "default": ""}])
     ]
-    shown = table("sources", ("source", "option", "type", "default", "about"), rows)
+    shown = table(f"{kind}s", (kind, "option", "type", "default", "about"), rows)
     broken = [f"not working: {p['cause']}" for p in problems[len(found.problems) :]]
-    return Answer({"sources": entries, "problems": problems}, [shown, *broken])
+    return Answer({key: entries, "problems": problems}, [shown, *broken, *([told] if name else [])])
 
 
 def _options(cls: type) -> list[dict[str, Any]]:
@@ -93,7 +114,9 @@ def _options(cls: type) -> list[dict[str, Any]]:
 
 
 def _default(option: dict[str, Any]) -> str:
-    return "required" if option["required"] else str(option["default"])
+    if option["required"]:
+        return "required"
+    return "" if option["default"] is None else str(option["default"])
 
 
 @click.command("check-plugin", cls=Command)

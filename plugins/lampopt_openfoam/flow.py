@@ -187,7 +187,8 @@ def _coefficients(runner: Runner, grid: Grid, checked: Checked, began: float) ->
     if told.state != "settled" or not residual <= UNSOLVED:
         raise FlowError(
             f"on placement {grid.number} the mean had not settled after {len(series)} iterations: {told.message}, "
-            f"residual {residual:.2g}; {where}; the flow may be unsteady by nature: try another level=",
+            f"residual {residual:.2g}, asked for {UNSOLVED:g}; {where}; the flow may be unsteady: try another "
+            "level=",
             "not-settled",
         )
     points, pressure = files.pressure(case)

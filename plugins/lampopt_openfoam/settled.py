@@ -77,6 +77,7 @@ def judged(series: Array, tolerance: float) -> Settled:
     wanted = np.full(len(mean), LIFT)
     wanted[0] = tolerance * abs(mean[0])
     said = f"drag {mean[0]:.4f} ± {error[0]:.4f} over {len(kept)} iterations, asked for ± {wanted[0]:.4f}"
+    said += "".join(f"; lift ± {by:.4f}, asked for ± {LIFT:g}" for by in error[1:2])
     state: Literal["settling", "settled"] = "settled" if (error <= wanted).all() else "settling"
     return Settled(state, tuple(mean.tolist()), tuple(error.tolist()), start, len(series), said)
 

@@ -65,17 +65,20 @@ class Surface:
     @property
     def width(self) -> float:
         """Across the wind [length]."""
-        return float(np.ptp(self.vertices[:, 1]))
+        return self._across(1)
 
     @property
     def height(self) -> float:
         """[length]."""
-        return float(np.ptp(self.vertices[:, 2]))
+        return self._across(2)
+
+    def _across(self, axis: int) -> float:
+        return round(float(np.ptp(self.vertices[:, axis])), DIGITS)  # the same for what has the same digest
 
     @property
     def digest(self) -> str:
         """Of what a flow depends on."""
-        parts = (np.round(self.vertices, DIGITS).tobytes(), self.faces.tobytes(), bytes([self.half]))
+        parts = ((np.round(self.vertices, DIGITS) + 0.0).tobytes(), self.faces.tobytes(), bytes([self.half]))
         return blake2b(b"".join(parts), digest_size=16).hexdigest()
 
     def __eq__(self, other: object) -> bool:
