@@ -49,6 +49,8 @@ DEFAULTS: Mapping[str, float] = {
     "clearance": 1.5,  # between the surface and the box [cells]
 }
 LEVEL = 0.9  # coverage of the intervals that are told
+OUTSIDE = "outside what it was made for"  # of a learned measure
+SINGLE = 1e-6  # rounding of weights in single precision [frame's size]
 BAND = 0.05  # half the width of the narrow band about the surface [box]
 
 
@@ -258,10 +260,11 @@ def drift_checks(
     Where the ask was corrected so that a `wanted` value is measured, that is what counts.
     """
     found, known, wanted, asked = [], _Measured(mesh, plugins), wanted or {}, columns(bank)
+    least = SINGLE / bank.frame.scale  # a parameter that is 0 on all exemplars is measured no better
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
         unit, spread = asked[address].unit, asked[address].spread
         expected = wanted.get(parameter, float(alpha @ values))
-        limit = limits[f"drift.{parameter}"] * (spread or abs(float(values.mean())))
+        limit = max(limits[f"drift.{parameter}"] * (spread or abs(float(values.mean()))), least)
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:
@@ -287,7 +290,7 @@ class _Measured:
             try:
                 self._values[name] = values_of(name, measure, self._mesh)
                 if isinstance(measure, Interval) and measure.outside(self._mesh):
-                    raise MeasureError("this shape is outside what it was made for, so that its value tells nothing")
+                    raise MeasureError(f"this shape is {OUTSIDE}, so that its value tells nothing")
             except (MeasureError, EmptyMesh) as error:
                 self._values[name] = error
         values = self._values[name]
@@ -334,7 +337,7 @@ def trusted(name: str, measure: Interval, mesh: Trimesh) -> tuple[Array, bool]:
 
 def _trust(name: str, measure: Interval, mesh: Trimesh) -> list[str]:
     ends, outside = trusted(name, measure, mesh)
-    told = "; outside what it was made for" if outside else ""
+    told = f"; {OUTSIDE}" if outside else ""
     return [f"{LEVEL:.0%} interval {low:.6g} to {high:.6g}{told}" for low, high in ends]
 
 

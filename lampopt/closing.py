@@ -15,13 +15,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampopt.check import Limits
+from lampopt.check import OUTSIDE, Limits
 from lampopt.errors import StudyError
 from lampopt.mix import predicted
 from lampopt.plane import Plane, explained
 from lampopt.progress import silent
 from lampopt.quantities import Quantities, Quantity, error_of, teller
-from lampopt.solve import Column, Posed
+from lampopt.solve import Column, Posed, columns
 from lampopt.study import Study
 from lampopt.types import Array, Bank, Check, Mix
 from lampopt.units import factor
@@ -297,13 +297,28 @@ def told_without_turns(study: Study, name: str) -> bool:
 
 
 def read_checks(study: Study, quantities: Quantities, found: Closed, limits: Limits) -> list[Check]:
-    """Whether what the study itself declares measurable was measured as asked; the bank's own are checked for drift."""
-    checks = []
+    """Whether what the study itself declares measurable was measured as asked; the bank's own are checked for drift.
+
+    A study that stops before a mesh is judged makes no such check: then all that was read is told here.
+    """
+    others = [] if study.level == "mesh" else [name for name in found.read if name not in study.measured]
+    checks = [_drifted(quantities, name, found, limits) for name in others]
     for name, address in study.measured.items():
         told = study.turns or told_without_turns(study, name)
         if told and name in found.read and (column := quantities[name].column) is not None:
             read, wanted = found.read[name], found.wanted[name]
             off = abs(read - wanted) * 2 / column.spread
             note = f"{address} {read:.6g}, asked {wanted:.6g} {column.unit}".rstrip()
+            if quantities.outside(quantities.measured(address), found.mix.alpha):
+                off, note = float("nan"), f"{note}; {OUTSIDE}"
             checks.append(Check(f"measured.{name}", off, "<=", limits[f"measured.{name}"], "half range", "mesh", note))
     return checks
+
+
+def _drifted(quantities: Quantities, name: str, found: Closed, limits: Limits) -> Check:
+    address = quantities.bank.measured_by[name]
+    unit, spread = columns(quantities.bank)[address].unit, columns(quantities.bank)[address].spread
+    read, wanted = found.read[name], found.wanted[name]
+    limit = limits[f"drift.{name}"] * spread
+    note = f"{address} {read:.6g}, wanted {wanted:.6g}"
+    return Check(f"drift.{name}", abs(read - wanted), "<=", limit, unit, "mesh", note)

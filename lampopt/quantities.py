@@ -17,7 +17,7 @@ import numpy as np
 from lampopt.chain import Chain
 from lampopt.errors import InputError, PluginError, StudyError
 from lampopt.measured import keeping, resolve_address
-from lampopt.protocols import Measure, Model
+from lampopt.protocols import Interval, Measure, Model
 from lampopt.reading import brief
 from lampopt.solve import Column, column, columns
 from lampopt.types import Array, Bank
@@ -205,6 +205,13 @@ class Quantities:
             raise StudyError(f"{quantity.name!r}: is measured on meshes, which nothing makes here")
         name, measure, place = quantity.measure
         return float(self.chain.values(name, measure, alpha)[place])
+
+    def outside(self, quantity: Quantity, alpha: Array) -> bool:
+        """Whether its value at alpha (N,) is told of a mesh outside what its measure was made for: it tells nothing."""
+        if quantity.measure is None or self.chain is None or not isinstance(quantity.measure[1], Interval):
+            return False
+        mesh = self.chain.mesh(alpha)
+        return mesh is not None and bool(quantity.measure[1].outside(mesh))
 
     def _why_not(self, quantity: Quantity, alpha: Array) -> str:
         """What a measure that has no value said."""

@@ -192,8 +192,9 @@ class Study:
                 raise StudyError(f"{name!r} is asked for twice: name it in one of targets, keep, ranges and objective")
         if isinstance(self.objective, Reduce) and self.reference is None:
             raise StudyError(f"objective: {self.objective} needs a reference; name an exemplar")
-        if unknown := sorted(set(self.hard) - set(asked)):
-            raise StudyError(f"hard: {brief(unknown)} are not asked for; asked for are {brief(asked)}")
+        varied = [*self.sweep, *(self.experiments.ranges if self.experiments else ())]
+        if unknown := sorted({*self.hard} - {*asked, *varied}):
+            raise StudyError(f"hard: {brief(unknown)} are not asked for; asked for are {brief([*asked, *varied])}")
 
     def opened(self) -> Bank:
         """The bank, loaded if the study names a file."""

@@ -179,6 +179,8 @@ class Task:
                 seen = made if level == "mesh" else replace(made)  # what looks at a mesh unsaid spoils one of its own
                 with _unaltered(vars(seen).get("mesh"), f"check {name!r}"):
                     checks += stranger_checks(self.bank, seen, {name: checker}, level)
+        if turned is not None and self.study.level != "mesh":  # though nothing else there looks at a mesh
+            checks += read_checks(self.study, self.wishes.quantities, turned, self.limits)
         found = self.result(made, checks)
         if turned is None:
             return found

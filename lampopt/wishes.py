@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from lampopt.check import Limits
+from lampopt.check import OUTSIDE, SINGLE, Limits
 from lampopt.errors import StudyError
 from lampopt.evaluations import Memory
 from lampopt.goals import Linear, Minimise
@@ -26,6 +26,7 @@ from lampopt.study import Study
 from lampopt.terms import MeasuredValue, Remembered, Row, model_value, shaped
 from lampopt.types import ROUNDING, Array, Bank, Check, Needs, Term
 
+POWERS = {"L": 1, "L^2": 2, "L^3": 3}  # of the length unit, in a measure's declared units
 SPREAD = 0.2  # range of a measured value that no exemplar tells, in parts of its value at the start
 
 
@@ -50,14 +51,15 @@ class Goal:
         """What tells its value."""
         return "mesh" if self.quantity.measure is not None else "alpha"
 
-    def check(self, value: float, limits: Limits) -> Check:
-        """Whether it is met."""
+    def check(self, value: float, limits: Limits, outside: bool = False) -> Check:
+        """Whether it is met; nobody knows where a learned measure tells it of a shape `outside` its range."""
         off = max(self.low - value, value - self.high, 0.0) * 2 / self.spread
         unit = self.quantity.unit
         wanted = f"{self.low:.6g}" if self.low == self.high else f"{self.low:.6g} to {self.high:.6g}"
         note = f"{value:.6g} {unit}".rstrip() + f", asked {wanted}"
         limit = limits["hard.search"] if self.hard else limits[self.name.partition(".")[0]]
-        return Check(self.name, off if value == value else value, "<=", limit, "half range", self.needs, note)
+        off, note = (float("nan"), f"{note}; {OUTSIDE}") if outside else (off if value == value else value, note)
+        return Check(self.name, off, "<=", limit, "half range", self.needs, note)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +117,12 @@ class Wishes:
         for name, value in target.items():
             if (quantity := self.quantities[name]).column is None:
                 hard, weight = name in self.study.hard, self.study.weights.get(name, 1.0)
-                found.append(Goal(f"target.{name}", quantity, value, value, *self._scale(quantity), hard, weight))
+                found.append(
+                    Goal(f"target.{name}", quantity, value, value, *self._scale(quantity, value), hard, weight)
+                )
         for name, (low, high) in self.study.bounds(self.quantities).items():
             if (quantity := self.quantities[name]).column is None:
-                found.append(Goal(f"range.{name}", quantity, low, high, *self._scale(quantity)))
+                found.append(Goal(f"range.{name}", quantity, low, high, *self._scale(quantity, low, high)))
         return found
 
     def value(self, goal: Goal, alpha: Array) -> float:
@@ -147,8 +151,8 @@ class Wishes:
             raise StudyError(f"linear: {name}: all exemplars have {found.low:g}: no mix can change it")
         return found, given.low, given.high
 
-    def _scale(self, quantity: Quantity) -> tuple[float, float]:
-        """Lowest value and range of what is not linear."""
+    def _scale(self, quantity: Quantity, *asked: float) -> tuple[float, float]:
+        """Lowest value and range of what is not linear, by the value at the start and those `asked`."""
         if quantity.model is not None:
             values = self.quantities.over_exemplars(quantity)
             low, spread = float(values.min()), float(np.ptp(values))
@@ -156,8 +160,16 @@ class Wishes:
                 raise StudyError(f"{quantity.name!r}: all exemplars have {low:g} by the model: no mix can change it")
             return low, spread
         value = self.quantities.at(quantity.name, self.study.reference)
-        spread = SPREAD * abs(value) or 1.0
+        largest = max(abs(end) for end in (value, *asked) if np.isfinite(end))
+        size = self._size(quantity)
+        spread = SPREAD * largest if largest > SINGLE * size else size
         return value - spread / 2, spread
+
+    def _size(self, quantity: Quantity) -> float:
+        """The size of the bank's frame, or its square or cube: what a measured length, area, volume may come to."""
+        assert quantity.measure is not None
+        _, measure, place = quantity.measure
+        return float((1 / self.bank.frame.scale) ** POWERS.get(measure.units[place], 0))
 
     def _with_terms(self, posed: Posed, goals: list[Goal], memory: Memory) -> Posed:
         objectives, constraints, equalities = list[Term](), list[Term](), list[Term]()
@@ -233,4 +245,5 @@ class Wishes:
 def goal_checks(wishes: Wishes, target: Mapping[str, float], alpha: Array, limits: Limits, needs: Needs) -> list[Check]:
     """Whether what is not linear in alpha is as it was asked; what needs a mesh, on the mesh."""
     goals = [goal for goal in wishes.goals(target) if goal.needs == needs]
-    return [goal.check(wishes.value(goal, alpha), limits) for goal in goals]
+    outside = wishes.quantities.outside
+    return [goal.check(wishes.value(goal, alpha), limits, outside(goal.quantity, alpha)) for goal in goals]

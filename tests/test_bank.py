@@ -733,3 +733,18 @@ def test_garbage_from_a_measure_is_named(monkeypatch, change, message):
         monkeypatch.setattr(Odd, name, value)
     with pytest.raises(PluginError, match=f"measure 'odd': .*{message}"):
         values_of("odd", Odd(), shapes.box())
+
+
+def test_limits_of_what_is_no_longer_measured_go_with_it(tmp_path):
+    """Else no study of the bank could be made any more."""
+    file = tmp_path / "boxes.lamp"
+    limits = {"drift.length": 0.1, "alpha": 4.0}
+    small.bank(measured={"length": "size.length"}, store=file, limits=limits)
+    again = small.bank(store=file)
+    assert again.limits == {"alpha": 4.0} and not again.measured_by
+    assert lampopt.run(lampopt.Study(again, {"length": 2.35}), plugins=small.plugins()).accepted
+    measured = small.bank(measured={"length": "size.length"}, store=file)
+    calibrated = lampopt.calibrate(measured, "1 m", store=file, plugins=small.plugins())
+    assert "drift.length" in calibrated.calibration.checks
+    assert small.bank(measured={"length": "size.length"}, store=file).calibration is not None
+    assert small.bank(measured={"length": "extents.length"}, store=file).calibration is None  # told by another

@@ -11,6 +11,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lampopt
 from lampopt import Exemplars, Spec, build_bank, design, hookimpl
 from lampopt.check import (
     BAND,
@@ -670,3 +671,26 @@ def test_a_result_is_as_bad_as_its_worst_check():
     worse = Result(result.design, (*result.checks, Check("own", 3.0, "<=", 1.0, "", "mesh")))
     assert (worse.score, worse.accepted) == (3.0, False)
     assert Result(result.design, ()).score == 0.0
+
+
+@pytest.mark.parametrize(("off", "passed"), [(0.0, True), (1e-8, True), (1e-3, False)])
+def test_a_measured_parameter_that_is_nought_on_all_exemplars_drifts_by_more_than_rounding(off, passed):
+    """Its range tells no scale: single precision's part of the frame does."""
+
+    class Place:
+        names, units = ("x",), ("L",)
+
+        def __call__(self, mesh):
+            return np.array([off])
+
+    class Offer:
+        @hookimpl
+        def lampopt_measures(self):
+            return {"place": Place}
+
+    plain = small.boxes(count=3)
+    at, space = np.column_stack([plain.parameters, np.zeros(3)]), (*plain.space, Parameter("middle", "m"))
+    plugins = small.plugins(("place", Offer()))
+    bank = small.bank(replace(plain, parameters=at, space=space, measured={"middle": "place.x"}), plugins=plugins)
+    bank = replace(bank, measured=np.zeros((3, 1)))
+    assert lampopt.run(lampopt.Study(bank, {"length": 2.3}), plugins=plugins).check("drift.middle").passed == passed

@@ -448,3 +448,105 @@ def test_one_turn_goes_half_a_range_at_most():
     ((ask, instead),) = asked
     assert ask == {"drag": 1.5}
     np.testing.assert_allclose(instead["drag"], plane.values)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Measure of drag, right by what the boxes' labels are; up to a length it knows what it says."""
+
+    knows: float = 2.9
+    names, units = ("drag",), ("",)
+
+    def __call__(self, mesh):
+        return np.array([0.1 + 0.1 * mesh.extents[0]])
+
+    def interval(self, mesh, level):
+        return self(mesh)[:, None] + [[-0.01, 0.01]]
+
+    def outside(self, mesh):
+        return bool(mesh.extents[0] > self.knows)
+
+
+@pytest.mark.parametrize("turns", [0, 2])
+def test_what_a_learned_measure_says_of_a_shape_outside_its_range_meets_no_target(turns):
+    bank = small.bank(small.boxes(labels=0.1 + 0.1 * small.LENGTHS[:, None]))
+    asked = {"measured": {"drag": "cd.drag"}, "turns": turns, "limits": {"alpha": 99.0}}
+    within, beyond = (
+        lampopt.run(Study(bank, {"drag": value}, measures={"cd": Learned()}, **asked), plugins=small.plugins())
+        for value in (0.38, 0.41)
+    )
+    assert within.accepted and within.check("measured.drag").value < 1e-4
+    assert not beyond.accepted and np.isnan(beyond.check("measured.drag").value)
+    assert beyond.check("measured.drag").note.endswith("outside what it was made for")
+
+
+def test_what_a_learned_measure_says_outside_its_range_meets_no_target_of_its_own():
+    bank, plugins = small.bank(), Plugins.load([("small", small.Plugin())])
+    limits = {"alpha": 99.0}
+    for value, known in ((0.38, True), (0.41, False)):
+        for wish in ({"targets": {"cd.drag": value}}, {"ranges": {"cd.drag": (value, 1.0)}}):
+            study = Study(bank, measures={"cd": Learned()}, solver="nlopt", limits=limits, keep=("width",), **wish)
+            result = lampopt.run(study, plugins=plugins)
+            check = result.check(f"{'target' if 'targets' in wish else 'range'}.cd.drag")
+            assert check.passed == known and result.accepted == known
+            assert known or "outside what it was made for" in check.note
+
+
+@pytest.mark.parametrize("level", ["alpha", "field", "mesh"])
+@pytest.mark.parametrize("declared", [True, False])
+def test_what_was_corrected_is_judged_at_every_level(level, declared):
+    """A measure that reads half of what is asked: one turn does not do, wherever the study stops."""
+
+    class Half:
+        names, units = ("length",), ("L",)
+
+        def __call__(self, mesh):
+            return np.array([1.25 + mesh.extents[0] / 2])
+
+    plugins = small.plugins(("half", OfMeasures({"half": Half})))
+    bank = small.bank(plugins=plugins, measured={} if declared else {"length": "half.length"})
+    known = {"measured": {"length": "half.length"}} if declared else {}
+    # One unit asked is half a unit read. A bank that declares the measure knows that, from its exemplars.
+    result = lampopt.run(Study(bank, {"length": 2.9}, turns=1, level=level, **known), plugins=plugins)
+    name = "measured.length" if declared else "drift.length"
+    assert result.check(name).passed == (not declared)
+    assert result.accepted == (not declared)
+
+
+@dataclass(frozen=True)
+class OfMeasures:
+    offered: dict
+
+    @lampopt.hookimpl
+    def lampopt_measures(self):
+        return self.offered
+
+
+@pytest.mark.parametrize("address", ["kept.drag", "flow.drag"])
+def test_a_measure_that_the_study_does_not_name_keeps_its_work_too(address, tmp_path):
+    calls = []
+
+    @dataclass(frozen=True)
+    class Kept(Learned):
+        place: str = ""
+
+        def __call__(self, mesh):
+            calls.append(self.place)
+            return super().__call__(mesh)
+
+        def kept_in(self, folder):
+            return replace(self, place=str(folder))
+
+    plugins = small.plugins(("kept", OfMeasures({"kept": Kept})))
+    bank = small.bank(small.boxes(labels=0.1 + 0.1 * small.LENGTHS[:, None]))
+    named = {"flow": "kept"} if address == "flow.drag" else {}
+    study = Study(bank, reference="box_1", objective=Reduce("drag", by=0.05), measures=named, turns=1)
+    lampopt.run(replace(study, measured={"drag": address}), tmp_path, plugins=plugins)
+    assert {*calls} == {str(tmp_path / "measured" / address.partition(".")[0])}
+
+
+def test_a_reference_that_cannot_be_measured_is_told_with_the_reason():
+    plugins = small.plugins(("broken", OfMeasures({"broken": Broken})))
+    study = Study(small.bank(), reference="box_5", keep=("length",), measured={"length": "broken.length"}, turns=1)
+    with pytest.raises(StudyError, match=r"'box_5' has no value for it; choose another: .*too long to be read"):
+        lampopt.run(study, plugins=plugins)

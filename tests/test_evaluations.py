@@ -118,7 +118,7 @@ def test_what_is_maximised_is_sought_from_above(bank, tmp_path):
     study = Study(bank, objective=Maximise("volume"), ranges={"own.volume": (2.0, 8.0)}, measures=ASKED["measures"])
     search = searched(tmp_path, study, bank, PLUGINS)
     (step,) = search.steps
-    assert (search.label, search.unit, step.value, step.violation) == ("volume", "m^3", -1.5, 0.5)
+    assert (search.label, search.unit, step.value, step.violation) == ("−volume", "m^3", -1.5, 0.5)
     assert not step.feasible
 
 
@@ -136,7 +136,7 @@ def test_whatever_unit_a_range_is_given_in_it_tells_what_is_feasible(bank, tmp_p
     found = searched(tmp_path, study, bank, PLUGINS)
     assert [one.violation for one in found.steps] == pytest.approx([2.0, 0.0, 0.5])
     assert [one.value for one in found.steps] == pytest.approx((-bank.parameters[:3, 1]).tolist())  # the mix tells it
-    assert (found.label, found.unit) == ("width", "m")
+    assert (found.label, found.unit) == ("−width", "m")
 
 
 def test_a_hard_target_has_to_be_met(bank, tmp_path):

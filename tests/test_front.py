@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lampopt
-from lampopt import cli, front
+from lampopt import Reduce, Study, cli, front
 from lampopt.errors import StudyError
 from lampopt.pareto import knee
 from lampopt.plugins import Plugins
@@ -548,3 +548,17 @@ def test_the_command_line_refuses(study_file, tmp_path, capsys):
     assert "--out" in refused("--out", str(tmp_path / "file" / "x.svg"))
     assert "ridges" in refused("--ridges", "1")
     assert "at least 2 and at most 20,000" in refused("--ridges", "20001")
+
+
+def test_efficient_ones_of_a_label_that_is_raised():
+    """More of it is better: what meets the raise is beaten by nothing that changes less."""
+    bank = small.bank(small.boxes(labels=0.1 * small.LENGTHS[:, None]))
+    study = Study(bank, keep=("width",), reference="box_0", objective=Reduce("drag", by=-0.1))
+    found = lampopt.front(study, reduce=[0.0, -0.1, -0.2], ridges=5, plugins=small.plugins()).reduction
+    points = np.column_stack([found.error, found.distance, -found.value])
+    beaten = [any((other <= one).all() and (other < one).any() for other in points) for one in points]
+    assert found.efficient.tolist() == [not one for one in beaten]
+    met = (found.by < 0) & (found.error < 1e-9)
+    assert met.any() and found.efficient[met].all()
+    with pytest.raises(StudyError, match="all reduce, or all raise"):
+        lampopt.front(study, reduce=[0.1, -0.1], plugins=small.plugins())

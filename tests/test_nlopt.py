@@ -22,6 +22,7 @@ from lampopt.plugins import Plugins
 from lampopt.testing import solver_checks
 from lampopt.types import BOUNDS, Problem
 from lampopt_casadi.solver import CasADi
+from lampopt_kkt.kkt import KKT
 from lampopt_nlopt.solver import NLopt
 
 BY_SLOPE = ("slsqp", "mma", "ccsaq")
@@ -1014,3 +1015,33 @@ def test_what_alone_is_enough_is_so_for_all_that_is_asked(solver):
         assert alone.pop("culprit") == pytest.approx(-0.3, abs=1e-7)
         assert np.isinf([*alone.values()]).all()
         assert conflict.culprit == "culprit"
+
+
+def at_most(most):
+    """A term: the first coefficient, to be kept at `most` or below."""
+    return lambda alpha: (float(alpha[0] - most), np.eye(len(alpha))[0])
+
+
+@pytest.mark.parametrize("solver", [NLopt(), CasADi()])
+def test_what_should_stay_still_does_beside_a_constraint_that_does_not_press(solver):
+    """Of all mixes that meet the row, the one in which the still rows do not move: the closed form of `kkt`."""
+    still = np.array([[0.3, -0.2, 0.9, 0.1, -0.7], [0.5, 0.1, -0.3, 0.8, 0.2]])
+    asked = problem(k=1, n=5, range_names=(), range_matrix=None, range_low=None, range_high=None)
+    asked = replace(asked, alpha_low=None, alpha_high=None, still=still)
+    wide = replace(asked, constraints=(at_most(1e3),))
+    mix, plain = solver.solve(wide), KKT().solve(asked)
+    np.testing.assert_allclose(mix.alpha, plain.alpha, atol=1e-6)
+    np.testing.assert_allclose(still @ mix.alpha, still @ asked.centre, atol=1e-6)
+    assert mix.status == "exact"
+
+
+def test_what_should_stay_still_does_beside_a_constraint_that_presses():
+    still = np.array([[0.3, -0.2, 0.9, 0.1, -0.7], [0.5, 0.1, -0.3, 0.8, 0.2]])
+    asked = problem(k=1, n=5, range_names=(), range_matrix=None, range_low=None, range_high=None)
+    asked = replace(asked, alpha_low=None, alpha_high=None, still=still)
+    before = CasADi().solve(asked).alpha
+    tight = replace(asked, constraints=(at_most(before[0] - 0.1),))
+    mix = CasADi().solve(tight)
+    np.testing.assert_allclose(mix.alpha[0], before[0] - 0.1, atol=1e-6)
+    np.testing.assert_allclose(still @ mix.alpha, still @ asked.centre, atol=1e-4)
+    np.testing.assert_allclose(asked.matrix @ mix.alpha, asked.target, atol=1e-6)

@@ -1,7 +1,7 @@
 """What is asked, as an object and as TOML: one gives the other, and what cannot be asked is refused in words."""
 
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import date
 from pathlib import Path
 
@@ -376,3 +376,11 @@ def test_the_largest_sweep_is_read_back_and_what_is_larger_is_not_written(tmp_pa
     assert Study.read(tmp_path / "study.toml").sweep["length"] == values
     with pytest.raises(StudyError, match=r"bytes as TOML, of which at most 4,194,304 are read back: sweep parts of it"):
         Study("a.lamp", sweep={"length": [f"{i:040d} mm" for i in range(100_000)]}).to_toml()
+
+
+def test_what_only_a_sweep_asks_may_be_hard():
+    study = Study(small.bank(), hard=("length",), sweep={"length": [2.1, 2.3]}, level="alpha")
+    for result, wanted in zip(lampopt.sweep(study, plugins=small.plugins()), (2.1, 2.3), strict=True):
+        assert result.design.predicted[0] == pytest.approx(wanted)
+    with pytest.raises(StudyError, match=r"hard: \['width'\] are not asked for; asked for are \['length'\]"):
+        replace(study, hard=("width",))

@@ -17,6 +17,7 @@ from lampopt.plugins import Plugins
 from lampopt.safeguards import LeastJacobian, Mismatch, judged_by, seen
 from lampopt.task import Task
 from lampopt.terms import model_value, shaped
+from lampopt.testing import shapes
 from lampopt.types import Parameter
 from lampopt.workers import _packed, _unpacked
 
@@ -702,3 +703,26 @@ def test_what_is_measured_at_the_reference_is_in_the_labels_unit():
                       decoder="pulled", plugins=PLUGINS)  # fmt: skip
     known = Task.of(Study(bank), PLUGINS).wishes.quantities
     assert known.at("span", "box_1", "extents.length") == pytest.approx(220.0, rel=1e-6)
+
+
+def test_a_measured_target_beside_a_reference_at_nought_is_no_question_of_rounding():
+    """The middle of the reference is 0 but for single precision, which is no scale for what is asked."""
+
+    @dataclass(frozen=True)
+    class Middle:
+        names, units = ("x",), ("L",)
+
+        def __call__(self, mesh):
+            return mesh.bounds.mean(0)[:1] + 1e-9
+
+    parameters = np.array([[2.0, -0.1], [2.2, 0.0], [2.6, 0.1], [2.7, 0.0], [2.3, 0.05]])
+    meshes = [shapes.box([length, 1.0, 0.8], centre=np.array([x, 0.0, 0.0])) for length, x in parameters]
+    space = (Parameter("length", "m"), Parameter("shift", "m"))
+    exemplars = lampopt.Exemplars(parameters, space, meshes, tuple("abcde"))
+    plugins = Plugins.load([("small", small.Plugin())])
+    bank = lampopt.build_bank(exemplars, "stretch", probes=16, plugins=plugins)
+    for wanted in (0.08, 0.0):
+        study = Study(bank, {"middle.x": wanted}, measures={"middle": Middle()}, keep=("length",), reference="b")
+        result = lampopt.run(replace(study, solver="nlopt"), plugins=plugins)
+        assert result.accepted, [check for check in result.checks if not check.passed]
+        np.testing.assert_allclose(result.design.predicted, [2.2, wanted], atol=1e-4)

@@ -79,13 +79,13 @@ class _Asked:
         """What the values of a search by `count` exemplars that noted these are called, their unit, what tells them."""
         goal = self._study.objective
         if isinstance(goal, Minimise):
-            sign = -1.0 if goal.maximised else 1.0
+            sign, label = (-1.0, f"−{goal.name}") if goal.maximised else (1.0, goal.name)
             known = self._known({goal.name: (0.0, 0.0)})
             if measured := next((address for address in known if address in noted), None):
-                return goal.name, known[measured][0], lambda values, alpha: sign * values.get(measured, float("nan"))
+                return label, known[measured][0], lambda values, alpha: sign * values.get(measured, float("nan"))
             column = columns(self._bank).get(goal.name)
             if column is not None and count == len(column.values) and np.isfinite(column.values).all():
-                return goal.name, column.unit, lambda values, alpha: sign * float(alpha @ column.values)
+                return label, column.unit, lambda values, alpha: sign * float(alpha @ column.values)
         if missed := {address: want for address, want in self._targets.items() if address in noted}:
             unit = next(iter(missed.values()))[0] if len(missed) == 1 else ""
             label = "|" + next(iter(missed)) + " − asked|" if len(missed) == 1 else "largest |measured − asked|"

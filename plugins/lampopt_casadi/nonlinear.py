@@ -22,6 +22,7 @@ from .requirements import Requirements
 from .words import held_off, infeasible
 
 FLOOR = 1e-9  # least ridge: of all mixes that do as well, the nearest to the centre
+STILL = 1e4  # what movement of what should stay still weighs beside the distance from the centre
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
 HELD = 1e-6  # what is met to this [normalised] is met
 PRESSING = 1e-4  # a multiplier this large [at most 1] tells that a requirement presses on those that give
@@ -98,8 +99,8 @@ class Nonlinear:
         return Mix(found, residual, kind, f"{held_off(problem, residual)}; {words}" if solved else words)
 
     def _nearer(self, found: Array) -> Array:
-        """Of all alpha with the rows of `found` that keep all constraints, the nearest to the centre; or `found`."""
-        rows = self.squares.rows
+        """Of all alpha with the rows of `found` that keep all constraints, the stillest and nearest; or `found`."""
+        rows, still = self.squares.rows, self.problem.still
         program = _Program(
             self.must, found, all(isinstance(term, Expressible) for _, term, _ in self._terms()), self.iterations
         )
@@ -107,7 +108,8 @@ class Nonlinear:
             program.keep(casadi.DM(rows) @ program.alpha, rows @ found, rows @ found)
         for name, term, low in self._terms():
             program.keep(program.value(term, name), low, 0.0)
-        nearer, status = program.least(program.distance(self.squares))
+        moved = casadi.DM(still) @ (program.alpha - casadi.DM(self.problem.centre)) if len(still) else casadi.DM(0)
+        nearer, status = program.least(program.distance(self.squares) + STILL * casadi.sumsqr(moved))
         return nearer if status in SOLVED and self._kept(nearer) else found
 
     def _terms(self) -> list[tuple[str, Term, float]]:

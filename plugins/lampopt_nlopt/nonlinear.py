@@ -26,6 +26,7 @@ MANY = 300  # variables beyond which slsqp, cubic in their number, takes longer 
 LEVEL = 1e-6  # a slope less than this part of the curvature is rounding: the start is where squares are least
 LATE = 5  # an end so soon after a point without a value was forced by it
 NOTHING = "hard rows leave nothing to search"
+FREE = "no requirement presses on what is nearest to the targets"
 FARTHEST = 1e4  # ‖alpha − centre‖ that only an objective without least value leads to
 
 
@@ -78,6 +79,8 @@ class Nonlinear:
         tried: list[str] = []
         try:
             first = evaluations(space.start)
+            if first.known and first.violation <= HELD and not self.problem.objectives:
+                return self._found(evaluations, space, tried, FREE)
             for start in ((space.start + middle) / 2, middle):
                 first = first if first.known else evaluations(start)
             why = self._run(evaluations, space.at(first.alpha if first.known else space.start), first, tried)

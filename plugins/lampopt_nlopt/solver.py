@@ -175,5 +175,5 @@ def _held_off(problem: Problem, residual: Array) -> str:
     if not len(residual):
         return "nothing is asked"
     worst = int(np.abs(residual).argmax())
-    why = "ridge, weights or objectives hold"
+    why = "ridge, weights, objectives or constraints hold"
     return f"targets could be met, but {why} {problem.names[worst]} off by {residual[worst]:+.3g}"
