@@ -254,7 +254,7 @@ def _reduction(task: Task, fractions: Sequence[float], ridges: Array, tell: Prog
     alpha, error = np.concatenate([batch.alpha for batch in batches]), np.concatenate(errors)
     distance, status = asked[0].distance(alpha), tuple(s for batch in batches for s in batch.status)
     value = np.concatenate(reached)[:, [*asked[0].target].index(name)]
-    better = -1 if min(fractions) < 0 else 1  # a label that is to be raised
+    better = -1 if objective.by < 0 else 1  # which raises the label
     points = np.column_stack([error, distance, better * value / before])
     points[~_solved(status)] = np.nan  # which is on no front
     return Reduction(
@@ -280,6 +280,4 @@ def _fractions(study: Study, given: Sequence[float]) -> list[float]:
         raise StudyError("reduce: expected a study with an objective, Reduce(name, by=...), got one without")
     if found and not -10 < min(found) <= max(found) < 1:
         raise StudyError(f"reduce: expected fractions below 1, such as 0.10, got {said(given):.80}")
-    if found and min(found) < 0 < max(found):
-        raise StudyError(f"reduce: expected fractions that all reduce, or all raise (negative), got {said(given):.80}")
     return found

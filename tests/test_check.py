@@ -547,9 +547,9 @@ def test_a_measure_is_called_once_for_all_its_values():
     assert b.value == pytest.approx(np.pi / 6 - 0.4)  # 30 degrees in the parameter's radians
 
 
-def test_no_spread_and_no_value_leaves_no_room():
+def test_no_spread_and_no_value_leaves_room_for_rounding_alone():
     check = drift(measuring("extents.length", [0.0, 0.0, 0.0]), [1.0, 0, 0], shapes.box((1, 1, 1)))
-    assert check.limit == 0
+    assert 0 < check.limit < 1e-5
     assert not check.passed
 
 

@@ -560,5 +560,3 @@ def test_efficient_ones_of_a_label_that_is_raised():
     assert found.efficient.tolist() == [not one for one in beaten]
     met = (found.by < 0) & (found.error < 1e-9)
     assert met.any() and found.efficient[met].all()
-    with pytest.raises(StudyError, match="all reduce, or all raise"):
-        lampopt.front(study, reduce=[0.1, -0.1], plugins=small.plugins())
