@@ -51,6 +51,7 @@ DEFAULTS: Mapping[str, float] = {
 LEVEL = 0.9  # coverage of the intervals that are told
 OUTSIDE = "outside what it was made for"  # of a learned measure
 SINGLE = 1e-6  # rounding of weights in single precision [frame's size]
+ROOM = 20.0  # a twentieth of a range is the usual limit
 BAND = 0.05  # half the width of the narrow band about the surface [box]
 
 
@@ -260,11 +261,11 @@ def drift_checks(
     Where the ask was corrected so that a `wanted` value is measured, that is what counts.
     """
     found, known, wanted, asked = [], _Measured(mesh, plugins), wanted or {}, columns(bank)
-    least = SINGLE / bank.frame.scale  # a parameter that is 0 on all exemplars is measured no better
+    least = ROOM * SINGLE / bank.frame.scale  # a parameter that is 0 on all exemplars is measured no better
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
         unit, spread = asked[address].unit, asked[address].spread
         expected = wanted.get(parameter, float(alpha @ values))
-        limit = max(limits[f"drift.{parameter}"] * (spread or abs(float(values.mean()))), least)
+        limit = limits[f"drift.{parameter}"] * max(spread or abs(float(values.mean())), least)
         try:
             value = known(address, bank.frame.unit, unit)
         except (MeasureError, EmptyMesh) as error:

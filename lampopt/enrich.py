@@ -20,7 +20,7 @@ from lampopt.identity import whole
 from lampopt.joining import Meshes, Newcomer, chosen_of, given_by, named
 from lampopt.loop import results
 from lampopt.measured import following_ratio, measure_each, resolve_address, values_of
-from lampopt.members import add_exemplars
+from lampopt.members import JOINED, add_exemplars
 from lampopt.plugins import Plugins
 from lampopt.protocols import Corresponding, Measure, Progress
 from lampopt.reading import brief, path_of
@@ -28,7 +28,6 @@ from lampopt.study import Study
 from lampopt.types import Array, Bank, Exemplars, Parameter, Result, Scalar, expect_bank
 from lampopt.units import factor, filled, number, said
 
-JOINED = "joined."  # before an exemplar's name in the provenance
 Known = float | str | None  # of a label: a number in its unit, text with a unit, or nothing
 Labels = Mapping[str, str | Sequence[Known] | Mapping[str, Known]]
 

@@ -180,10 +180,25 @@ def store_fitted(
         "distribution": offer.distribution,
         "version": offer.version,
     }
+    _expect_no_other(path)
     try:
         lamp.write(path_of(path, "store"), fitted.state(), record)
     except BankError as error:
         raise InputError(str(error)) from error
+
+
+def _expect_no_other(path: Path | str) -> None:
+    """Raise InputError where a file is there that is nothing fitted, and would be lost."""
+    if not (path := path_of(path, "store")).exists():
+        return
+    try:
+        kind = lamp.read(path)[1].get("format")
+    except BankError:
+        kind = None
+    if kind != FORMAT:
+        raise InputError(
+            f"{path}: is there, and is {kind or 'nothing that was fitted'}: name another file, or delete it"
+        )
 
 
 def load_measure(path: str | Path, *, plugins: Plugins | None = None) -> Measure:

@@ -108,9 +108,10 @@ def chosen_of(found: Iterable[Newcomer], only: Iterable[str], leave_out: Iterabl
         Naming all at once that were rejected, with the checks that they failed, or that were not judged by their mesh;
         or if a name is unknown, or nobody is left.
     """
-    without_rejected = isinstance(leave_out, str) and leave_out == REJECTED
-    wanted = _names(only, "only")
-    left = set() if without_rejected else _names(leave_out, "leave_out", f", or {REJECTED!r} for all that were")
+    wanted, named = _names(only, "only"), [REJECTED] if leave_out == REJECTED else leave_out
+    left = _names(named, "leave_out", f", or {REJECTED!r} for all that were")
+    without_rejected = REJECTED in left
+    left = left - {REJECTED}
     chosen, seen, told = list[Newcomer](), list[str](), list[str]()
     for newcomer in found:
         seen.append(newcomer.name)

@@ -5,6 +5,7 @@ A parameter that no measure tells directly may be told by a learned one, `ramp.m
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,9 @@ from lampopt.units import factor, filled
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+UNITS = (1000.0, 304.8, 100.0, 25.4, 12.0, 10.0, 1 / 0.3048, 1 / 0.0254)  # of length, apart from each other
+SLIP = 0.02  # by which a ratio may miss one of them
+log = logging.getLogger("lampopt")
 FOLLOWS = 0.9  # least R² of a declared measurement against its parameter
 APART = 1e-3  # of a parameter's spread, the least that the others must leave of it to be told apart
 
@@ -45,7 +49,19 @@ def measure_all(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: P
                 f"the other parameters' share taken out; expected {FOLLOWS}): it measures something else, or the table "
                 "is wrong"
             )
+        _tell_unit(parameter, address, exemplars.parameters[:, index[parameter]], column)
     return values
+
+
+def _tell_unit(parameter: str, address: str, given: Array, read: Array) -> None:
+    """Warn where all that is read is what was given, in another unit of length, say."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = read / given
+    if np.isfinite(ratios).all() and any(np.allclose(ratios, by, rtol=SLIP) for u in UNITS for by in (u, 1 / u)):
+        log.warning(
+            "measured: %s is %.4g times what the exemplars' %s is: are the meshes in the unit that was told?",
+            *(address, float(np.median(ratios)), parameter),
+        )
 
 
 def measure_each(exemplars: Exemplars, measured_by: Mapping[str, str], plugins: Plugins) -> Array:

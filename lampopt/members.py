@@ -23,6 +23,7 @@ from lampopt.protocols import Decoder, Progress
 from lampopt.reading import path_of
 from lampopt.types import Array, Bank, Exemplars, Parameter, Scalar
 
+JOINED = "joined."  # before an exemplar's name in the provenance, of one that was a design
 log = logging.getLogger("lampopt")
 
 
@@ -289,6 +290,8 @@ def _provenance(bank: Bank, plan: str, what: str, names: Sequence[str], meshes: 
     from importlib.metadata import version
 
     known = dict(uncalibrated(bank).provenance)
+    if what == "removed":
+        known = {name: value for name, value in known.items() if name not in {JOINED + gone for gone in names}}
     before = [str(known[what])] if what in known else []
     known |= {"plan": plan, "lampopt": version("lampopt"), what: ", ".join([*before, *names])}
     if meshes:

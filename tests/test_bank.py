@@ -748,3 +748,15 @@ def test_limits_of_what_is_no_longer_measured_go_with_it(tmp_path):
     assert "drift.length" in calibrated.calibration.checks
     assert small.bank(measured={"length": "size.length"}, store=file).calibration is not None
     assert small.bank(measured={"length": "extents.length"}, store=file).calibration is None  # told by another
+
+
+def test_meshes_in_another_unit_than_was_told_are_noticed_by_what_is_measured(caplog):
+    """All are a thousand times too large, so that none is odd among its fellows."""
+    large = [mesh.copy().apply_scale(1000) for mesh in small.boxes().meshes]
+    exemplars = replace(small.boxes(), meshes=large)
+    with caplog.at_level("WARNING"):
+        small.bank(exemplars, measured={"length": "size.length"})
+    assert "size.length is 1000 times what the exemplars' length is" in caplog.text
+    caplog.clear()
+    small.bank(measured={"length": "size.length"})
+    assert not caplog.text

@@ -817,3 +817,32 @@ def test_what_rounding_leaves_is_shown_as_nothing():
     assert show._unrounded(-2e-19, length) == 0.0
     assert show._unrounded(1e-9, length) == 1e-9
     assert show._unrounded(2e-19, lampopt.Parameter("tiny", "m", 0.0, 1e-18)) == 2e-19
+
+
+def test_what_a_plugins_own_program_prints_does_not_spoil_the_document(tmp_path):
+    """Nor what is printed in processes that a command begins."""
+    code = """
+import os, sys
+from lampopt import cli
+from lampopt.plugins import Plugins
+Plugins.load = lambda real=Plugins.load: (os.system("echo hello"), print("hello"), real())[2]
+sys.exit(cli.main(["plugins", "--json"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert json.loads(done.stdout)["plugins"] and done.stderr.count("hello") == 2
+
+
+def test_names_and_all_may_be_said_together(ask, tmp_path):
+    made = ask("bank", "build", "--source", "boxes", "--decoder", "grid", "--accept", "all", "--accept", "box_0",
+               "--out", tmp_path / "new" / "b.lamp")  # fmt: skip
+    assert made[0] == 0, made
+
+
+def test_options_that_would_do_nothing_are_refused(ask, tmp_path):
+    code, document, _ = ask("intake", "--source", "boxes", "--unit", "mm")
+    assert code == 2 and "--unit go with a table" in document["error"]["message"]
+    for command in ("flow", "flow-study"):
+        code, document, _ = ask(command, tmp_path / "car.stl", "--unit", "kg")
+        assert code == 2 and "--unit" in document["error"]["message"]
+    code, document, _ = ask("wrap", tmp_path / "car.stl", "--gap", "0.1", "--out", tmp_path / "car.step")
+    assert code == 2 and ".step" in document["error"]["message"]

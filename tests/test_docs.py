@@ -47,7 +47,8 @@ def bank(tmp_path_factory):
     ],
 )
 def test_programs_run(page, bank, tmp_path):
-    shutil.copy(bank, tmp_path / "plates.lamp")
+    for name in ("plates.lamp", "plates-sdf.lamp"):
+        shutil.copy(bank, tmp_path / name)
     found = programs(ROOT / page)
     assert found
     for program in found:

@@ -429,3 +429,12 @@ def test_from_the_shell(bank, mixed, tmp_path, monkeypatch, capsys):
     assert code == 2
     assert "no none among them" in document["error"]["message"]
     assert sorted(os.listdir(tmp_path)) == ["a.lamp", "b.lamp"]
+
+
+def test_what_is_known_of_a_design_goes_with_its_exemplar(tmp_path):
+    """Else another exemplar of that name would count as the design."""
+    known = {"joined.box_1": "{}", "joined.box_2": "{}"}
+    bank = small.bank()
+    bank = replace(bank, provenance={**bank.provenance, **known})
+    fewer = lampopt.remove_exemplars(bank, ["box_1"])
+    assert "joined.box_1" not in fewer.provenance and "joined.box_2" in fewer.provenance

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lampopt
-from lampopt import Maximise, Spec, Study
+from lampopt import Maximise, Reduce, Spec, Study
 from lampopt.errors import SweepError
 from lampopt.evaluations import FILE, Memory, evaluations
 from lampopt.reporting.searched import searched
@@ -157,3 +157,14 @@ def test_where_some_exemplars_take_no_part_the_report_tells_what_was_measured(ba
     found = searched(tmp_path, study, bank, PLUGINS)
     assert found.steps and found.label == "own.volume"
     assert (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    "asked", [{"objective": Reduce("own.volume", by=0.1)}, {"keep": ("own.volume",)}, {"sweep": {"own.volume": [2.9]}}]
+)
+def test_whatever_way_a_measured_value_is_asked_for_the_report_shows_how_far_off_it_is(bank, tmp_path, asked):
+    noted(tmp_path, bank, 2.5, 3.0)
+    study = Study(bank, measures={"own": toys.Volume()}, reference="box_3", **asked)
+    found = searched(tmp_path, study, bank, PLUGINS, {"own.volume": 2.9})
+    assert found.label == "|own.volume − asked|"
+    assert [one.value for one in found.steps] == pytest.approx([0.4, 0.1])

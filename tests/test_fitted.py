@@ -15,6 +15,7 @@ from lampopt.protocols import Gradient, Interval, State
 from lampopt.testing import shapes
 from lampopt.types import Bank
 
+small = importlib.import_module("small")
 SIZES = np.random.default_rng(3).uniform([0.8, 0.3, 0.2], [1.6, 0.6, 0.5], (12, 3))
 
 
@@ -282,3 +283,15 @@ def test_it_is_its_state(tmp_path):
     assert again.addresses == ("extents.length",)
     with pytest.raises(MeasureError, match="got none"):
         again(trimesh.Trimesh())
+
+
+def test_a_bank_is_not_overwritten_by_what_is_fitted_on_it(tmp_path):
+    bank = small.bank(small.boxes(labels=0.1 * small.LENGTHS[:, None]), store=tmp_path / "b.lamp")
+    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
+    for name in ("b.lamp", "notes.txt"):
+        with pytest.raises(InputError, match=rf"{name}: is there, and is .*name another file"):
+            lampopt.fit_model(bank, "linear", ["drag"], store=tmp_path / name)
+    assert lampopt.load_bank(tmp_path / "b.lamp").names == bank.names
+    for _ in range(2):  # what was fitted before may be
+        lampopt.fit_model(bank, "linear", ["drag"], store=tmp_path / "drag.model")
+    assert lampopt.load_model(tmp_path / "drag.model").names == ("drag",)

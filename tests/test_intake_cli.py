@@ -200,7 +200,7 @@ def test_wrap_writes_a_closed_mesh(call, ask, folder):
     ("args", "message"),
     [
         (["box_0.stl", "--gap", "0", "--out", "a.ply"], "gap: expected a length above 0"),
-        (["box_0.stl", "--gap", "0.1", "--out", "a.txt"], "expected a file name ending in .stl"),
+        (["box_0.stl", "--gap", "0.1", "--out", "a.txt"], "expected a file ending in .stl"),
         (["box_0.stl", "--gap", "0.1", "--out", "gone/boxes.csv/a.ply"], None),
         (["gone.stl", "--gap", "0.1", "--out", "a.ply"], "gone.stl"),
     ],

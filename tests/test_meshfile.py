@@ -120,3 +120,26 @@ def test_a_face_that_is_turned_over_is_no_polygon_cut_wrong(tmp_path, caplog):
     box.export(tmp_path / "box.ply")
     assert load_mesh(tmp_path / "box.ply").area == pytest.approx(box.area)
     assert "lie back" not in caplog.text
+
+
+def test_remarks_behind_the_lines_of_an_obj_are_none_of_its_numbers(tmp_path):
+    lines = ["v 0 0 0 # a corner", "v 1 0 0#another", "v 0 1 0", "f 1 2 3 # bottom"]
+    (tmp_path / "a.obj").write_text("\n".join(lines), encoding="utf-8")
+    assert load_mesh(tmp_path / "a.obj").area == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("head", ["OFF\n6 6 0", "OFF 6 6 0", "# a pyramid\nCOFF\n6 6 0"])
+def test_polygons_of_an_off_file_may_differ_in_their_corners(tmp_path, head):
+    turns = np.arange(5) * 2 * np.pi / 5
+    corners = [*((np.cos(a), np.sin(a), 0.0) for a in turns), (0.0, 0.0, 1.0)]
+    faces = [(4, 3, 2, 1, 0), *((i, (i + 1) % 5, 5) for i in range(5))]
+    colours = " 9 9 9 255" if "COFF" in head else ""
+    lines = [
+        head,
+        *(" ".join(map(str, at)) + colours for at in corners),
+        *(" ".join(map(str, (len(f), *f))) for f in faces),
+    ]
+    (tmp_path / "a.off").write_text("\n".join(lines), encoding="utf-8")
+    mesh = load_mesh(tmp_path / "a.off")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(5 / 2 * np.sin(2 * np.pi / 5) / 3, rel=1e-5)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import lampopt
 from lampopt.pareto import knee, pareto
+from lampopt.plugins import Plugins
 from lampopt.reporting import charts, write, write_report
 from lampopt.reporting.convergence import bests, converged, convergence
 from lampopt.reporting.gather import Evaluation, Gathered, Line, gather
@@ -583,3 +584,60 @@ def test_ends_are_told_apart():
     assert charts.shortened("abcdefghij", 4 * charts.LETTER) == "abc…"
     assert charts.shortened("abcd", 4 * charts.LETTER) == "abcd"
     assert charts.shortened("abcd", 0.0) == "…"
+
+
+def test_designs_of_one_run_may_ask_for_different_names(tmp_path):
+    """A measure that only follows its parameter is read back for all of them."""
+    exemplars = small.boxes()
+    changes = exemplars.parameters - [2.0, 0.0]
+    measured = {"length": "extents.length", "width": "extents.width"}
+    bank = small.bank(replace(exemplars, parameters=changes), measured=measured, store=tmp_path / "b.lamp")
+    for grid in ({"length": [0.3, 0.5]}, {"width": [1.1, 1.2]}):
+        [*lampopt.sweep(lampopt.Study(bank), grid, folder=tmp_path / "run", plugins=small.plugins(), report=False)]
+    text = lampopt.report(tmp_path / "run", plugins=small.plugins()).read_text(encoding="utf-8")
+    assert text.count("R² 1.0000 against the line") == 2
+
+
+def test_what_is_minimised_is_traded(tmp_path):
+    labels = np.array([0.30, 0.34, 0.32, 0.38, 0.33, 0.36, 0.33])[:, None]
+    bank, every = small.bank(small.boxes(labels=labels)), Plugins.load([("small", small.Plugin())])
+    asked = {"objective": lampopt.Minimise("drag"), "alpha": (-0.5, 1.0), "ridge": 0.1, "level": "alpha"}
+    study = lampopt.Study(bank, solver="casadi", reference="box_0", **asked)
+    results = lampopt.sweep(study, {"length": [2.1, 2.3, 2.5]}, report=False, plugins=every)
+    found = traded(study, bank, gather(results, bank, 9).lines)
+    assert [found.x.name, found.y.name] == ["‖alpha − centre‖", "drag"]
+
+
+def test_what_the_study_declares_measurable_is_shown_as_measured(tmp_path):
+    bank, plugins = small.bank(store=tmp_path / "b.lamp"), small.plugins()
+    study = lampopt.Study(bank, measured={"length": "size.length"}, measures=("size",), turns=1)
+    [*lampopt.sweep(study, {"length": [2.1, 2.3]}, folder=tmp_path / "run", plugins=plugins)]
+    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "<b>length</b> measured on 2 designs" in text and "is not measured" not in text
+
+
+def test_a_range_is_shown_in_the_banks_unit(tmp_path):
+    every = Plugins.load([("small", small.Plugin())])
+    ranges = {"width": ("1100 mm", "1.3 m")}
+    study = lampopt.Study(small.bank(), {"length": 2.3}, ranges=ranges, solver="casadi", level="alpha")
+    lampopt.run(study, tmp_path, plugins=every)
+    assert "between 1.1 and 1.3</td><td>m</td>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_an_infinite_measurement_does_not_cost_the_report(tmp_path):
+    class Odd:
+        names, units = ("length",), ("L",)
+
+        def __call__(self, mesh):
+            return np.array([np.inf if mesh.extents[0] > 3.2 else mesh.extents[0]])
+
+    class Offer:
+        @lampopt.hookimpl
+        def lampopt_measures(self):
+            return {"odd": Odd}
+
+    plugins = small.plugins(("odd", Offer()))
+    bank = small.bank(measured={"length": "odd.length"}, plugins=plugins, store=tmp_path / "b.lamp")
+    made = [*lampopt.sweep(lampopt.Study(bank), {"length": [2.3, 3.4]}, folder=tmp_path / "run", plugins=plugins)]
+    assert [result.accepted for result in made] == [True, False]
+    assert "measured on 1 of 2 designs" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
@@ -56,8 +57,7 @@ class Command(click.Command):
         """Run the function, print its answer, return the exit code."""
         as_json: bool = ctx.params.pop("as_json")
         try:
-            # A plugin that prints must not spoil the document.
-            with redirect_stdout(sys.stderr) if as_json else nullcontext():
+            with _standard_output_aside() if as_json else nullcontext():
                 answer: Answer = super().invoke(ctx)
         except LampoptError as error:
             return refuse(type(error).__name__, str(error), WRONG, as_json=as_json)
@@ -70,6 +70,20 @@ class Command(click.Command):
                 whole = hasattr(item, "columns")  # text goes on one line, tables fold
                 console().print(item if whole else plain(item), soft_wrap=not whole)
         return answer.code
+
+
+@contextmanager
+def _standard_output_aside() -> Iterator[None]:
+    """What is printed goes to standard error, by processes that are begun here too: it must not spoil the document."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 class Group(click.Group):

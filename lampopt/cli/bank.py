@@ -18,7 +18,6 @@ from lampopt.compress import compress as compressed
 from lampopt.enrich import enrich as enriched
 from lampopt.errors import InputError
 from lampopt.exemplars import exemplars
-from lampopt.joining import REJECTED
 from lampopt.lamp import load_bank, store_bank
 from lampopt.members import add_exemplars, remove_exemplars
 from lampopt.plugins import Plugins
@@ -177,7 +176,7 @@ def enrich(
             folder,
             store=out,
             only=names,
-            leave_out=REJECTED if leave_out == (REJECTED,) else leave_out,
+            leave_out=leave_out,
             labels=pairs("--label", labels),
             accept=_named(accept),
             progress=progress,
@@ -246,8 +245,8 @@ def info(file: Path) -> Answer:
 
 
 def _named(accept: tuple[str, ...]) -> Iterable[str]:
-    """The names behind --accept; `all` alone stands for everybody."""
-    return "all" if accept == ("all",) else accept
+    """The names behind --accept; `all` among them stands for everybody."""
+    return "all" if "all" in accept else accept
 
 
 def _described(bank: Bank) -> Answer:

@@ -82,7 +82,7 @@ def compare(
             solver=solver,
             resolution=resolution,
             measured=pairs("--measured", measured),
-            accept="all" if accept == ("all",) else accept,
+            accept="all" if "all" in accept else accept,
             folder=folder,
             progress=progress,
             plugins=plugins,

@@ -14,7 +14,7 @@ from lampopt.cli.show import number, table
 from lampopt.errors import InputError, PluginError
 from lampopt.meshfile import load_mesh
 from lampopt.plugins import Plugins
-from lampopt.units import filled
+from lampopt.units import factor, filled
 
 MEASURE = "openfoam-drag"
 LEVELS = "coarse,medium,fine"
@@ -43,6 +43,7 @@ def flow(mesh: Path, against: Path | None, unit: str, folder: str, settings: tup
         lampopt flow car.stl --set level=coarse --folder flows
         lampopt flow design.stl --against car.stl --set placements=5 --folder flows
     """
+    factor(unit, "m", "--unit")  # raises where it is no length
     made = _made(settings, folder)
     if against is None:
         solved = made.solve(load_mesh(mesh))
@@ -91,6 +92,7 @@ def flow_study(mesh: Path, levels: str, unit: str, folder: str, settings: tuple[
     \b
         lampopt flow-study car.stl --folder flows
     """
+    factor(unit, "m", "--unit")  # raises where it is no length
     wanted = [level.strip() for level in levels.split(",")]
     if unknown := sorted(set(wanted) - set(LEVELS.split(","))):
         raise InputError(f"--levels: expected some of {LEVELS}, got {', '.join(unknown)}")

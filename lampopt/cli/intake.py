@@ -12,7 +12,8 @@ import click
 import numpy as np
 
 from lampopt.cli.answer import DONE, REJECTED, WRONG, Answer, Command
-from lampopt.cli.options import can_be_written, spec
+from lampopt.cli.designs import can_be_a_mesh
+from lampopt.cli.options import spec
 from lampopt.cli.show import BAD, GOOD, number, table
 from lampopt.errors import InputError
 from lampopt.exemplars import exemplars
@@ -39,7 +40,7 @@ STYLES = {"usable": GOOD, "note": "dim", "doubtful": "yellow", "refused": BAD}
 @click.command(cls=Command)
 @click.argument("what", metavar="[TABLE | MESH...]", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--meshes", metavar="FOLDER", help="Where the table's meshes are; by default beside it.")
-@click.option("--unit", default="m", show_default=True, help="Length unit of the meshes.")
+@click.option("--unit", help="Length unit of the meshes.  [default: m]")
 @click.option("--source", metavar="NAME", help="Another source of exemplars; see `lampopt sources`.")
 @click.option("--set", "settings", multiple=True, metavar="OPTION=VALUE", help="An option of the source; repeatable.")
 @click.option(
@@ -49,7 +50,7 @@ STYLES = {"usable": GOOD, "note": "dim", "doubtful": "yellow", "refused": BAD}
 def intake(
     what: tuple[Path, ...],
     meshes: str | None,
-    unit: str,
+    unit: str | None,
     source: str | None,
     settings: tuple[str, ...],
     accept: tuple[str, ...],
@@ -65,7 +66,7 @@ def intake(
         lampopt intake car.obj suv.dae more_cars/
         lampopt intake --source plate
     """
-    factor(unit, "m", "--unit")  # raises where it is no length
+    factor(unit or "m", "m", "--unit")  # raises where it is no length
     found, family = _exemplars(what, meshes, unit, source, settings)
     with progress_bar("intake") as progress:
         report = look(found, repair=repair, accept=ALL if ALL in accept else accept, fellows=family, progress=progress)
@@ -92,7 +93,7 @@ def wrap(mesh: Path, gap: float, resolution: int, out: Path) -> Answer:
     \b
         lampopt wrap suv.obj --gap 0.05 --out suv_wrapped.ply
     """
-    can_be_written("--out", out)
+    can_be_a_mesh("--out", out)
     same = False
     with suppress(OSError, ValueError):  # a file that is not there is told where it is read
         same = out.samefile(mesh)
@@ -107,14 +108,15 @@ def wrap(mesh: Path, gap: float, resolution: int, out: Path) -> Answer:
 
 
 def _exemplars(
-    what: Sequence[Path], meshes: str | None, unit: str, source: str | None, settings: tuple[str, ...]
+    what: Sequence[Path], meshes: str | None, unit: str | None, source: str | None, settings: tuple[str, ...]
 ) -> tuple[Exemplars, bool]:
     """What is to be looked at, and whether it is a family."""
     tables = [path for path in what if path.suffix.lower() in TABLES]
     if bool(source) == bool(what) or (tables and len(what) > 1):
         raise InputError("expected one table, or mesh files and folders, or --source NAME")
-    if source is not None and meshes is not None:
-        raise InputError("--meshes goes with a table; options of a source go behind --set")
+    if source is not None and (meshes or unit):
+        raise InputError("--meshes and --unit go with a table or meshes; options of a source go behind --set")
+    unit = unit or "m"
     if source is None and not tables:
         if meshes is not None or settings:
             raise InputError("--meshes and --set go with a table, got mesh files")

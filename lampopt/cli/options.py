@@ -96,13 +96,14 @@ def with_options(plugins: Plugins, kind: str, option: str, text: str) -> Spec:
 
 
 def can_be_written(option: str, path: Path) -> None:
-    """Raise InputError, before long work, where no file can be put at `path`."""
+    """Make the folder of `path`; raise InputError, before long work, where no file can be put there."""
     folder = path.parent
     try:
         folder = next(place for place in path.absolute().parents if place.exists())
         with tempfile.TemporaryFile(dir=folder):
             pass
         path.exists()  # a name that is too long is told here
+        path.parent.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         raise InputError(f"{option} {brief(path)}: no file can be written in {brief(folder)}: {why(error)}") from error
 

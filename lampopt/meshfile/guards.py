@@ -30,6 +30,7 @@ PLY_TYPES = {  # names by bytes
 }
 PLY_SIZES = {name: size for size, names in PLY_TYPES.items() for name in names}
 NO_SHAPE = re.compile(rb"(?m)^[ \t]*(?:usemtl|mtllib|o|g|s)(?:[ \t][^\n]*)?$")  # OBJ: each group would be a mesh
+REMARK = re.compile(rb"(?m)^((?:v|vn|vt|f)[ \t][^#\n]*)#[^\n]*")  # OBJ: trimesh reads on where a line ends in one
 INDENT = re.compile(rb"(?m)(?<!\\\n)(?<!\\\r\n)^[ \t\v\f]+")  # OBJ: trimesh skips such lines, silently
 PLY_HEADER = 2**20  # bytes: room for long comments
 PLY_PROPERTIES = 1000
@@ -115,6 +116,23 @@ def off(data: bytes) -> int:
     return faces
 
 
+def _fanned(data: bytes) -> bytes:
+    """OFF of triangles in place of polygons, which trimesh takes all to have the same number of corners."""
+    lines = [line for line in (raw.split(b"#")[0].strip() for raw in data.splitlines()) if line]
+    if not re.match(rb"C?OFF\b", lines[0]):
+        return data
+    own = lines[0].split(b"OFF", 1)[1].split()
+    first = 1 if own else 2  # of the vertices
+    counts = own or lines[1].split()
+    start = first + int(counts[0])
+    corners = [line.split() for line in lines[start : start + int(counts[1])]]
+    if {face[0] for face in corners} <= {b"3"}:
+        return data
+    fans = [b"3 " + b" ".join((face[1], face[k], face[k + 1])) for face in corners for k in range(2, int(face[0]))]
+    head = [b"OFF", b"%d %d 0" % (start - first, len(fans))]
+    return b"\n".join([*head, *(b" ".join(line.split()[:3]) for line in lines[first:start]), *fans, b""])
+
+
 @dataclass(frozen=True)
 class _Element:
     name: str
@@ -194,8 +212,10 @@ def parsed(data: bytes, suffix: str) -> tuple[int, Mapping[str, Any]]:
     from trimesh.exchange.load import mesh_loaders
 
     if suffix == ".obj":
-        data = NO_SHAPE.sub(b"", INDENT.sub(b"", data)).replace(b"\t", b" ")
+        data = REMARK.sub(rb"\1", NO_SHAPE.sub(b"", INDENT.sub(b"", data))).replace(b"\t", b" ")
     promised = GUARDS[suffix](data)
+    if suffix == ".off":
+        data = _fanned(data)
     load: Any = mesh_loaders[suffix[1:]]
     # Bytes instead of the file: a parser that knew where it lies could open what it names beside itself.
     return promised, load(io.BytesIO(data), file_type=suffix[1:], resolver=None, skip_materials=True)

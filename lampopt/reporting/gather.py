@@ -22,7 +22,7 @@ class Line:
     """What is kept of every design.
 
     `worst` is the check nearest to its limit or farthest beyond, `score` how much of the limit it takes: above 1 the
-    design is rejected. `predicted` is what the mix should have of what was asked, and of what is measured for it;
+    design is rejected. `predicted` is what the mix should have of all that can be asked;
     `values` are those, with their units, that checks report and do not judge: measures under their address, and others.
     `judged` has those checks by name that designs are compared by.
     """
@@ -141,8 +141,7 @@ def _mixed(found: Column, alpha: Array) -> float:
 
 def _line(number: int, result: Result, bank: Bank, known: Mapping[str, Column]) -> Line:
     asked, alpha = dict(result.design.target), result.design.mix.alpha
-    names = [*asked, *(bank.measured_by[name] for name in asked if name in bank.measured_by)]
-    mixed = {name: _mixed(known[name], alpha) for name in names if name in known}
+    mixed = {name: _mixed(column, alpha) for name, column in known.items()}
     worst = max(result.checks, key=lambda check: check.score, default=None)
     failed = tuple(check.name for check in result.checks if not check.passed)
     values = {c.name: (c.value, c.unit) for c in result.checks if c.sense == "info"}

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.resources import files
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -166,8 +167,8 @@ def _curves(
 
     found, any_measured = [], False
     for name in [n for n in swept if n in columns(bank)][:CURVES]:
-        values = {line.number: _measured(bank, name, line, seen) for line in gathered.lines}
-        known = [line for line in gathered.lines if values[line.number] == values[line.number]]
+        values = {line.number: _measured(study, bank, name, line, seen) for line in gathered.lines}
+        known = [line for line in gathered.lines if isfinite(values[line.number])]
         measured = bool(known)
         if not known:
             known = [
@@ -213,26 +214,29 @@ def _said(
 ) -> str:
     fit = f"R² {r2:.4f}" if r2 == r2 else "R² needs several values"
     if not measured:
-        why = "no shape was made" if study.level != "mesh" else "the bank declares no measure for it"
+        declared = "what it is declared to be measured by is no measure of the study"
+        why = declared if name in study.measured else "the bank declares no measure for it"
+        why = why if study.level == "mesh" else "no shape was made"
         return f"is not measured ({why}): what the mix should have. {fit} over {len(points):,} designs."
     short = "" if len(points) == len(gathered.lines) else f" of {len(gathered.lines):,}"
     more = ", those that are drawn and can be measured" if short else ""
-    how = "" if is_itself(bank, name) else f" (read back from {bank.measured_by[name]}, which follows it)"
+    own = name in study.measured or is_itself(bank, name)
+    how = "" if own else f" (read back from {bank.measured_by[name]}, which follows it)"
     return f"measured{how} on {len(points):,}{short} designs{more}. {fit} against the line."
 
 
-def _measured(bank: Bank, name: str, line: Line, seen: Mapping[int, Shown]) -> float:
+def _measured(study: Study, bank: Bank, name: str, line: Line, seen: Mapping[int, Shown]) -> float:
     """What a design has of `name` as its checks report it, else as it was measured for the report, else NaN."""
-    shown = seen.get(line.number)
-    if shown is not None and name in shown.measured:
+    shown, own = seen.get(line.number), study.measured.get(name)  # what the study itself declares comes first
+    if shown is not None and name in shown.measured and own is None:
         return read_back(bank, name, shown.measured[name], line.predicted)
-    address = bank.measured_by.get(name, name)
+    address = own or bank.measured_by.get(name, name)
     if "." not in address or address not in line.values:
         return float("nan")
     value, unit = line.values[address]
     try:
         value *= factor(unit, columns(bank)[name].unit, address)
-        return read_back(bank, name, value, line.predicted)
+        return value if own else read_back(bank, name, value, line.predicted)
     except LampoptError:  # another unit than the parameter's is nothing to be compared
         return float("nan")
 

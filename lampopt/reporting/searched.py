@@ -33,8 +33,10 @@ class Search:
     unit: str = ""
 
 
-def searched(folder: Path, study: Study, bank: Bank, plugins: Plugins) -> Search:
-    """The last search of the run in `folder`; without steps where nothing was searched.
+def searched(
+    folder: Path, study: Study, bank: Bank, plugins: Plugins, target: Mapping[str, Value] | None = None
+) -> Search:
+    """The last search of the run in `folder`, for `target` (the study's); without steps where nothing was searched.
 
     Its values are those of the study's objective, as they were measured or as the mix tells; else how far the measured
     targets are missed; else what was measured. The violation is that of measured ranges and hard targets.
@@ -49,7 +51,7 @@ def searched(folder: Path, study: Study, bank: Bank, plugins: Plugins) -> Search
             seconds[key] = seconds.get(key, 0.0) + one.seconds
     if not noted:
         return Search()
-    asked = _Asked(study, bank, plugins)
+    asked = _Asked(study, bank, plugins, study.targets if target is None else target)
     label, unit, sought = asked.sought({name for values in steps.values() for name in values}, len(noted[-1].alpha))
     return Search(
         tuple(
@@ -64,14 +66,14 @@ def searched(folder: Path, study: Study, bank: Bank, plugins: Plugins) -> Search
 class _Asked:
     """What a study asks of measured values, in their units; what cannot be told without its plugin is left out."""
 
-    def __init__(self, study: Study, bank: Bank, plugins: Plugins) -> None:
+    def __init__(self, study: Study, bank: Bank, plugins: Plugins, target: Mapping[str, Value]) -> None:
         self._study, self._bank = study, bank
         measures = {}
         for name, choice in study.to_be_measured().items():
             with suppress(LampoptError):
                 measures[name] = plugins.make("measure", choice) if isinstance(choice, Spec) else choice
         self._quantities = Quantities(bank, {}, measures, None, plugins)
-        self._targets = self._known({name: (value, value) for name, value in study.targets.items()})
+        self._targets = self._known({name: (value, value) for name, value in target.items()})
         self._ranges = self._known(study.ranges)
         self._hard = {address for name in study.hard for address in self._known({name: (0.0, 0.0)})}
 

@@ -15,6 +15,7 @@ from lampopt.reporting.measuring import is_itself, read_back
 from lampopt.solve import columns
 from lampopt.study import Study
 from lampopt.types import Bank, Check, Result
+from lampopt.units import number as read
 
 BARS = 16  # coefficients drawn
 LEAST = 5e-4  # smaller ones are not
@@ -142,7 +143,8 @@ def asked_rows(study: Study, bank: Bank, gathered: Gathered) -> list[dict[str, s
         rows.append(_asked(name, what, bank, known[name].unit if name in known else ""))
     for name, pair in study.ranges.items():
         unit = known[name].unit if name in known else ""
-        low, high = (v if isinstance(v, str) else number(v) for v in pair)
+        ends = [read(end, unit, name) if name in known else end for end in pair]
+        low, high = (end if isinstance(end, str) else number(end) for end in ends)
         rows.append(_asked(name, f"between {low} and {high}", bank, unit))
     if isinstance(study.objective, Minimise):
         often = "little" if study.objective.sign > 0 else "much"

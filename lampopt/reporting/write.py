@@ -68,7 +68,8 @@ def write_report(
         0 if gathered.single else min(BESIDE, len(gathered.shown)),
         plugins,
     )
-    text = page(folder.absolute().name, study, bank, gathered, drawn, searched(folder, study, bank, plugins))
+    search = searched(folder, study, bank, plugins, gathered.lines[-1].target)  # the last that was searched for
+    text = page(folder.absolute().name, study, bank, gathered, drawn, search)
     aside = path.with_name(path.name + ".writing")
     try:
         aside.write_bytes(text.encode(errors="replace"))  # a folder's name may have bytes in it that are no text

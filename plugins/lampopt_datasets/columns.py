@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 SHOWN = 20  # problems told in one message; a table can have a million
 HEADER = re.compile(r"(?P<name>.*?)(?:\[(?P<unit>[^\[\]]*)\])?", re.DOTALL)
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
-WRITTEN = re.compile(  # thousands apart, a decimal comma, a share, Fortran's exponent, or a minus from a text program
+WRITTEN = re.compile(  # thousands apart, a decimal comma, a share or unit, Fortran's exponent, a typographic minus
     r"[+\u2212-]?[0-9]{1,3}([,'\u2019 \u00a0\u202f][0-9]{3})+(\.[0-9]+)?"
-    r"|[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?|[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)( ?%|[dD][+-]?[0-9]+)"
+    r"|[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?"
+    r"|[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)( ?(%|\u00b0|mm|cm|m|km|in|ft|deg|rad|kg|N)|[dD][+-]?[0-9]+)"
     r"|\u2212([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 )
 LARGEST = 2**28  # bytes of a table
