@@ -222,13 +222,16 @@ def sensitivities(
     solving: Solver = plugins.make("solver", solver)
     mesh = decode(bank, decoder, design.weights)
 
-    def vertices(target: dict[str, float]) -> Array:
+    def asked(target: dict[str, float]) -> Array:
         posed = pose(bank, target)
         mix = solve(posed, solving)
         wide = {name: float(np.ptp(chosen[name].values)) for name in target}
         reached = {q.name: float(v) for q, v in zip(bank.space, predicted(bank, mix.alpha), strict=True)}
         off.update(name for name in target if abs(reached[name] - target[name]) > HELD * STEP * wide[name])
-        made = decode(bank, decoder, mixed_weights(bank, mix.alpha))
+        return mix.alpha
+
+    def vertices(alpha: Array) -> Array:
+        made = decode(bank, decoder, mixed_weights(bank, alpha))
         if not np.array_equal(made.faces, mesh.faces):
             raise PluginError(
                 f"decoder {bank.decoder.name!r}: makes another triangulation for each design, so that vertices do not "
@@ -240,7 +243,9 @@ def sensitivities(
     off = set[str]()
     for name in wanted:
         step, off = STEP * float(np.ptp(chosen[name].values)), set[str]()
-        ahead, behind = (vertices({**at, name: at[name] + sign * step}) for sign in (1, -1))
+        more, less = (asked({**at, name: at[name] + sign * step}) for sign in (1, -1))
+        # About the design's own mix: another with the same parameters may move otherwise.
+        ahead, behind = (vertices(design.mix.alpha + sign * (more - less) / 2) for sign in (1, -1))
         if off:
             log.warning(
                 "sensitivities: no mix of these exemplars changes %s alone: %s cannot be as asked, so that the motion "

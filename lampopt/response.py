@@ -118,7 +118,9 @@ class Response:
         assert known.chain is not None
         name, measure, place = quantity.measure
         if known.chain.differentiable(measure):
-            return np.asarray(known.chain.gradient(name, measure, place, alpha) @ along)
+            by_alpha = known.chain.gradient(name, measure, place, alpha)
+            if np.isfinite(by_alpha).all():  # a measure may have none on this very mesh
+                return np.asarray(by_alpha @ along)
         found = []
         for way, half in zip(along.T, halves, strict=True):
             ahead, behind = (known.value(quantity, alpha + sign * STEP * half * way) for sign in (1, -1))

@@ -365,3 +365,15 @@ def test_a_weak_kink_beside_a_strong_one_is_found():
     parameters = np.array([113.56, 127.25, 572.86, 655.33, 244.77, 64.36, 47.94, 50.19, 39.41])
     found = dict(zip(Bwb.names, Bwb()(bwb_mesh(parameters)), strict=True))
     assert [found[name] for name in NAMES] == pytest.approx(parameters, rel=1e-3)
+
+
+def test_a_tail_behind_the_wing_is_told_by_the_stations():
+    wing = bwb_mesh(MIDDLE)
+    tail = wing.copy()
+    tail.vertices = tail.vertices * [0.25, 0.4, 0.4] + [1300.0, 0.0, 100.0]
+    with pytest.raises(MeasureError, match="expected one wing in each section across, got two parts"):
+        Stations()(trimesh.util.concatenate([wing, tail]))
+    pod = trimesh.creation.icosphere(3)
+    pod.vertices = pod.vertices * [80, 20, 20] + [500.0, wing.extents[1] * 0.25, -90.0]
+    below = trimesh.util.concatenate([wing, pod])
+    np.testing.assert_allclose(Stations()(below), Stations()(wing), atol=1e-3)

@@ -1,7 +1,9 @@
 """Measures and models that were learned: fitted through their plugin, kept in a file, read back, used by a study."""
 
 import importlib
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from lampopt.protocols import Gradient, Interval, State
 from lampopt.testing import shapes
 from lampopt.types import Bank
 
+sys.path.insert(0, str(Path(__file__).parent))
 small = importlib.import_module("small")
 SIZES = np.random.default_rng(3).uniform([0.8, 0.3, 0.2], [1.6, 0.6, 0.5], (12, 3))
 
@@ -295,3 +298,49 @@ def test_a_bank_is_not_overwritten_by_what_is_fitted_on_it(tmp_path):
     for _ in range(2):  # what was fitted before may be
         lampopt.fit_model(bank, "linear", ["drag"], store=tmp_path / "drag.model")
     assert lampopt.load_model(tmp_path / "drag.model").names == ("drag",)
+
+
+def twice(*sizes, times=1):
+    """Exemplars: boxes of these lengths and widths, each given so often; labels `y` are told by `labels`."""
+    meshes = [shapes.box([length, width, 0.4]) for length, width in sizes for _ in range(times)]
+    return meshes, [f"box_{i}" for i in range(len(meshes))]
+
+
+def calibrated(by, sizes, values, times=1):
+    meshes, _ = twice(*sizes, times=times)
+    values = np.repeat(np.asarray(values, float), times)[:, None]
+    return Plugins.load().make("surrogate", Spec("calibrated", by=by)).fit(meshes, values, ["y"], [""], seed=0)
+
+
+def test_shapes_given_several_times_count_once():
+    """Five shapes promise nothing at 90 %, however often each is given; nor may one be judged by its twin."""
+    draw = np.random.default_rng(0)
+    sizes = [(length, 0.3) for length in draw.uniform(1, 2, 12)]
+    values = [3 * length + off for (length, _), off in zip(sizes, draw.normal(0, 0.1, 12), strict=True)]
+    box = shapes.box([1.5, 0.3, 0.4])
+    for count, known in ((5, False), (12, True)):
+        once, often = (calibrated("extents.length", sizes[:count], values[:count], times) for times in (1, 3))
+        assert np.isfinite(once.interval(box, 0.9)).all() == known
+        np.testing.assert_allclose(often.interval(box, 0.9), once.interval(box, 0.9), atol=0.05)
+        np.testing.assert_allclose(often.lines, once.lines, rtol=1e-6)
+    rough = np.repeat(np.arange(12), 3)  # a group left out, by hand
+    lengths, y = np.repeat([length for length, _ in sizes], 3), np.repeat(values, 3)
+    for i in range(12):
+        line = np.polyfit(lengths[rough != i], y[rough != i], 1)
+        np.testing.assert_allclose(often.left_out[rough == i, 0], y[rough == i] - np.polyval(line, lengths[3 * i]))
+
+
+def test_what_goes_together_on_the_exemplars_and_not_on_a_shape_is_outside():
+    draw = np.random.default_rng(0)
+    lengths = draw.uniform(1, 2, 20)
+    sizes = [(length, 0.5 * length + off) for length, off in zip(lengths, draw.normal(0, 0.002, 20), strict=True)]
+    found = calibrated("extents.length,extents.width", sizes, 3 * lengths + draw.normal(0, 0.02, 20))
+    assert found.outside(shapes.box([1.1, 0.95, 0.4]))  # within both ranges
+    assert not any(found.outside(shapes.box([length, width, 0.4])) for length, width in sizes)
+    assert not found.outside(shapes.box([1.5, 0.75, 0.4]))
+
+
+def test_what_is_constant_but_for_rounding_calibrates_nothing():
+    sizes = [(length, 0.3 + 1e-9 * k) for k, length in enumerate(np.linspace(1, 2, 12))]
+    with pytest.raises(InputError, match=r"extents\.width: the same on all exemplars"):
+        calibrated("extents.length,extents.width", sizes, np.linspace(3, 6, 12))

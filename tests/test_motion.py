@@ -1,6 +1,9 @@
 """Space and vertices along with a design; exemplars met, and where not: against closed forms."""
 
+import importlib
 import json
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +12,15 @@ import trimesh
 
 import lampopt
 from lampopt import cli
+from lampopt.decode import decode
 from lampopt.errors import InputError, PluginError
+from lampopt.mix import mixed_weights
+from lampopt.solve import pose, solve
+from lampopt.testing import shapes
 from lampopt.types import Exemplars, Parameter
+
+sys.path.insert(0, str(Path(__file__).parent))
+small = importlib.import_module("small")
 
 SPEC = lampopt.Spec("mesh-template", faces=1500, cell=0.25, tolerance=0.0)
 DESIGNS = np.array([[1.0, 0.6], [1.4, 0.6], [1.0, 0.9], [1.4, 0.9], [1.2, 0.75]])
@@ -245,3 +255,35 @@ def test_who_cannot_hold_the_others_says_so(exemplars, caplog):
 def test_where_they_can_be_held_nothing_is_said(bank, caplog):
     lampopt.sensitivities(bank, asked(bank, 1.5, 0.7))
     assert "alone" not in caplog.text
+
+
+def test_sensitivities_are_about_the_designs_own_mix(exemplars):
+    """A decoder that is not linear moves otherwise about another mix with the same parameters."""
+
+    @dataclass(frozen=True)
+    class Bent(small.Stretch):
+        def decode(self, shared, weights, *, resolution):
+            return shapes.box(np.asarray(weights[:3], float) ** 2, centre=np.asarray(weights[3:], float))
+
+        def fit(self, shared, meshes, *, seed, progress=None):
+            extents, errors = super().fit(shared, meshes, seed=seed)
+            extents[:, :3] = np.sqrt(extents[:, :3]) * (1 + 0.1 * np.cos(np.arange(len(meshes)))[:, None])
+            return extents, errors
+
+    class Offer:
+        @lampopt.hookimpl
+        def lampopt_decoders(self):
+            return {"bent": Bent}
+
+    plugins = small.plugins(("bent", Offer()))
+    bank = small.bank(decoder="bent", batch=7, plugins=plugins)
+    asked = lampopt.Study(bank, {"length": 2.5, "width": 1.2}, reference="box_5", level="alpha")
+    design = lampopt.run(asked, plugins=plugins).design
+    found = lampopt.sensitivities(bank, design, ["length"], plugins=plugins)
+    decoder, kkt = plugins.make("decoder", "bent"), plugins.make("solver", "kkt")
+    more, less = (solve(pose(bank, {"length": 2.5 + sign * 0.01, "width": 1.2}), kkt).alpha for sign in (1, -1))
+    ahead, behind = (
+        decode(bank, decoder, mixed_weights(bank, design.mix.alpha + sign * (more - less) / 2)).vertices
+        for sign in (1, -1)
+    )
+    np.testing.assert_allclose(found.motion[0], (ahead - behind) / 0.02, atol=1e-3)

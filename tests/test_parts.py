@@ -458,3 +458,12 @@ def test_vertices_of_no_face_change_nothing(measure):
     plate = plate_mesh(PLATE)
     stray = trimesh.Trimesh(np.vstack([plate.vertices, [[1e12] * 3]]), plate.faces, process=False)
     np.testing.assert_allclose(measure(stray), measure(plate), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (0.1, 0.2, 0.3), (7.3, 1, 2), (3.3, -2.2, 9), (-5.1, 2, 3)])
+def test_which_of_equal_holes_comes_first_does_not_depend_on_where_the_part_lies(shift):
+    part = mesh(drilled(("z", 0.5, -1.5, 0.4), ("z", 0.5, 1.5, 0.4), ("x", 0.5, 0.1, 0.2)))
+    moved = part.copy().apply_translation(shift)
+    for which in (1, 2, 3):
+        hole, there = Hole(which), Hole(which)(moved)
+        np.testing.assert_allclose(there, hole(part), atol=1e-9)

@@ -141,3 +141,15 @@ def test_unknown_targets_are_refused(bank):
         made({"width": 1.2})
     with pytest.raises(StudyError, match="study: expected a Study"):
         Response(bank, VALUES)
+
+
+def test_differences_stand_in_where_a_measure_has_no_derivative_on_this_very_mesh(moving):
+    class Sometimes(toys.Volume):
+        def gradient(self, mesh):
+            raise lampopt.errors.MeasureError("none here")
+
+    asked = {"length": 2.4, "width": 1.2}
+    made = Response(Study(moving, asked, measures={"own": Sometimes()}), ["own.volume"], plugins=Plugins.load())
+    found = made.slopes({})
+    assert found["own.volume", "length"] == pytest.approx(1.2 * 0.8, rel=0.02)
+    assert found["own.volume", "width"] == pytest.approx(2.4 * 0.8, rel=0.02)

@@ -326,3 +326,16 @@ def test_wetted_area_has_no_derivative_by_what_is_not_finite():
     spoilt = trimesh.Trimesh(np.where(np.arange(8)[:, None] == 3, np.nan, box.vertices), box.faces, process=False)
     with pytest.raises(MeasureError, match="expected finite vertices, got 1"):
         made("wetted-area").gradient(spoilt)
+
+
+@pytest.mark.parametrize("wall", [1.0, 5.0])
+def test_a_sheet_is_measured_on_its_outer_skin(car, wall):
+    """A car as a closed shell with an inner skin, such as a hollow wrap: what is seen from outside is the same."""
+    car, _ = car
+    inner = car.copy()
+    inner.vertices = car.vertices - wall * car.vertex_normals
+    inner.invert()
+    hollow = trimesh.util.concatenate([car, inner])
+    for name in ("wheels", "ramp", "hood", "windscreen", "rear-window", "trunk-lid", "greenhouse"):
+        made = PLUGINS.make("measure", name)
+        np.testing.assert_allclose(made(hollow), made(car), atol=0.05, err_msg=name)

@@ -165,7 +165,9 @@ class Stations:
 
     def _edges(self, mesh: Trimesh, *, follow: tuple[str, ...] = ()) -> Edges:
         at = np.array(self._places)[:, None] + OFFSETS
-        return edges(Halves.of(mesh, self.model), at.ravel(), follow=follow)
+        found = edges(Halves.of(mesh, self.model), at.ravel(), follow=follow)
+        found.expect_one_part()
+        return found
 
     def _values(self, found: Edges) -> tuple[Array, Array, dict[str, Array]]:
         """The values (2n,), and how they change with the half span (2n,), noses, tails, thicknesses (2n, 12n, s)."""

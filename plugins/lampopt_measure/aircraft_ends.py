@@ -24,6 +24,7 @@ TIE = 1e-9  # of the chord: points of either side nearer than this lie over one 
 NEWTON = 8  # steps to the root of a cubic that is near its start
 STEEP = 2.0  # height over length from which on the rearmost piece of a section is a wall
 FEWEST = 8  # points that a section is fitted to
+GAP = 0.05  # of what a section spans: two parts farther apart are a wing and a tail, say
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,20 @@ class Edges:
             by_span += (moved * np.outer(self.at, halves.sides).ravel()).sum(axis=1)
         found[:, :, 1] += np.outer(by_root, halves.middle()) + np.outer(by_span, halves.across())
         return found
+
+    def expect_one_part(self) -> None:
+        """Raise MeasureError where a section has two parts, one behind the other, such as a wing and a tail."""
+        x = self._cuts.points.reshape(2, -1, 3)[..., 0]
+        low, high, section = x.min(0), x.max(0), self._cuts.section[: x.shape[1]]
+        for number in np.unique(section):
+            own = np.flatnonzero(section == number)
+            own = own[np.argsort(low[own])]
+            ends = np.maximum.accumulate(high[own])
+            gap = float((low[own][1:] - ends[:-1]).max(initial=0.0))
+            if gap > GAP * (ends[-1] - low[own[0]]):
+                raise MeasureError(
+                    f"expected one wing in each section across, got two parts, {gap:.4g} apart; measure the wing alone"
+                )
 
 
 def edges(halves: Halves, at: Array, *, follow: tuple[str, ...] = ()) -> Edges:

@@ -16,13 +16,14 @@ import numpy as np
 
 from lampopt.errors import InputError, MeasureError
 from lampopt.measured import resolve_address, values_of
-from lampopt.metrics import conformal_quantile
+from lampopt.metrics import conformal_quantile, twins
 from lampopt.protocols import Gradient, Measure
 from lampopt.types import Array, frozen_array
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+SINGLE = 1e-6  # of a measured value: rounding of single precision
 BEYOND = 0.1  # of the exemplars' spread, how far past them a measured value may lie before it counts as outside
 
 
@@ -84,26 +85,36 @@ class Calibrated:
 
 
 def _line(measured: Array, values: Array, name: str, addresses: Sequence[str]) -> tuple[Array, Array]:
-    """(1 + k,) intercept and slopes, and each exemplar's error (n,) by the line through the others."""
-    n, k = measured.shape
-    if n < k + 2:
+    """(1 + k,) intercept and slopes; each exemplar's error (n,) by the line through all that are not its twins."""
+    k = measured.shape[1]
+    still = np.ptp(measured, axis=0) <= SINGLE * np.abs(measured).max(0) if len(measured) > 1 else np.zeros(k, bool)
+    if still.any():
+        same = ", ".join(address for address, one in zip(addresses, still, strict=True) if one)
+        raise InputError(f"calibrated: {same}: the same on all exemplars, {name} cannot be told from it")
+    group = _groups(measured) if len(measured) else np.empty(0, int)
+    if (n := len({*group})) < k + 2:
         raise InputError(f"calibrated: {name}: expected at least {k + 2} exemplars with a value, got {n}")
-    if still := [a for a, spread in zip(addresses, np.ptp(measured, axis=0), strict=True) if spread == 0]:
-        raise InputError(f"calibrated: {', '.join(still)}: the same on all exemplars, {name} cannot be told from it")
     size = float(np.abs(values).max())
     if not 1e-100 < size < 1e100 or np.ptp(values) <= 1e-12 * size:
         raise InputError(
             f"calibrated: {name}: expected values that vary, of a size that computers hold, got {values[:3]} ..."
         )
     middle, spread = measured.mean(0), np.ptp(measured, axis=0)
-    design = np.column_stack([np.ones(n), (measured - middle) / spread])
+    design = np.column_stack([np.ones(len(measured)), (measured - middle) / spread])
     q, r = np.linalg.qr(design)
     if np.abs(np.diag(r)).min() < 1e-9 * np.abs(np.diag(r)).max():
         raise InputError(f"calibrated: {', '.join(addresses)}: depend on each other over the exemplars, leave one out")
     found = np.linalg.solve(r, q.T @ values)
-    leverage = np.minimum((q**2).sum(1), 1 - 1e-9)
-    slopes = found[1:] / spread
-    return np.r_[found[0] - middle @ slopes, slopes], (values - design @ found) / (1 - leverage)
+    slopes, missed = found[1:] / spread, values - design @ found
+    for rows in (np.flatnonzero(group == one) for one in {*group}):
+        missed[rows] = np.linalg.solve((1 + 1e-9) * np.eye(len(rows)) - q[rows] @ q[rows].T, missed[rows])
+    return np.r_[found[0] - middle @ slopes, slopes], missed
+
+
+def _groups(measured: Array) -> Array:
+    """(n,) the number of the group of each row: of one shape that was given more than once there is one."""
+    spread = np.ptp(measured, axis=0)
+    return twins(measured / np.where(spread > 0, spread, 1.0), SINGLE)
 
 
 @dataclass(frozen=True)
@@ -202,17 +213,31 @@ class CalibratedMeasure:
         The conformal quantile of the errors by leaving one out, infinite where there are too few exemplars to promise
         that: 0.9 needs nine. Raises InputError for a level that is none.
         """
-        half = [conformal_quantile(errors[np.isfinite(errors)], level) for errors in self.left_out.T]
+        half = [conformal_quantile(self._by_shape(errors), level) for errors in self.left_out.T]
         return np.asarray(self(mesh)[:, None] + np.array(half)[:, None] * (-1.0, 1.0))
 
+    def _by_shape(self, errors: Array) -> Array:
+        """The largest of the errors (n,) of each shape that has one."""
+        known = np.isfinite(errors)
+        group, sizes = _groups(self.measured[known]), np.abs(errors[known])
+        return np.array([sizes[group == one].max() for one in {*group}])
+
     def outside(self, mesh: Trimesh) -> bool:
-        """Whether a measured value lies more than a tenth of their spread beyond the exemplars of one of the lines."""
+        """Whether a measured value lies more than a tenth of their spread beyond the exemplars of one of the lines.
+
+        Or beyond how they go together: where its leverage on the line is more than that of all of them, by as much.
+        """
         found = self._gauge.at(mesh)
         for errors in self.left_out.T:
             known = self.measured[np.isfinite(errors)]
             low, high = known.min(0), known.max(0)
             room = BEYOND * (high - low)
             if ((found < low - room) | (found > high + room)).any():
+                return True
+            rows = (np.vstack([known, found]) - known.mean(0)) / (high - low)
+            spread = np.linalg.lstsq(rows[:-1].T @ rows[:-1], rows.T, rcond=None)[0]
+            leverage = np.einsum("nk,kn->n", rows, spread)
+            if leverage[-1] > (1 + 2 * BEYOND) ** 2 * leverage[:-1].max():
                 return True
         return False
 

@@ -218,7 +218,16 @@ def bores(mesh: Trimesh, along: str = "") -> list[Bore]:
     """Every round through-hole of a closed mesh, the largest first. Raises InputError for an axis that is none."""
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     found = [bore for axis in range(3) if along in ("", "xyz"[axis]) for bore in _bores(vertices, faces, axis)]
-    return sorted(found, key=lambda bore: (-bore.radius, bore.axis, bore.centre))
+    low, high = vertices[np.unique(faces)].min(0), vertices[np.unique(faces)].max(0)
+    cell = THIN * float((high - low).max())
+
+    def place(bore: Bore) -> tuple[int, int, tuple[int, ...]]:
+        """Rounded, so that which of equal holes comes first does not depend on where the part lies."""
+        ends = [low[(bore.axis + k) % 3] for k in (1, 2)]
+        at = tuple(round((c - float(end)) / cell) for c, end in zip(bore.centre, ends, strict=True))
+        return -round(bore.radius / cell), bore.axis, at
+
+    return sorted(found, key=place)
 
 
 @dataclass(frozen=True)

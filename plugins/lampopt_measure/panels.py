@@ -179,7 +179,11 @@ def _near(cut: Facets, run: Run, length: float, *, over: int = 0, up: int = 2) -
     """The segments along a run, its ends left out."""
     start, end = np.array(run.start), np.array(run.end)
     way = (end - start) / run.length
-    away = cut.middles[:, [over, up]] - start
-    along, off = away @ way, away @ np.array([-way[1], way[0]])
+    away, left = cut.middles[:, [over, up]] - start, np.array([-way[1], way[0]])
+    along, off = away @ way, away @ left
     inner = (along > TRIM * run.length) & (along < (1 - TRIM) * run.length)
-    return cut.where(inner & (np.abs(off) < 4 * NOISE * length)).required("segments along the panel")
+    near = inner & (np.abs(off) < 4 * NOISE * length)
+    looks = cut.normals[:, [over, up]] @ left > 0  # of a sheet, the skin that the run is on, whichever way it faces
+    skins = [skin for skin in (near & looks, near & ~looks) if skin.any()]
+    chosen = min(skins, key=lambda skin: float(np.average(np.abs(off[skin]), weights=cut.size[skin])), default=near)
+    return cut.where(chosen).required("segments along the panel")

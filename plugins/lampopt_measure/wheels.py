@@ -113,8 +113,10 @@ def _wheel(body: Vehicle, free: Quantity, slices: list[tuple[float, Facets]], en
 
 
 def _tread(cut: Facets, towards: str, within: float, name: str) -> Quantity:
-    """Where along the vehicle a tyre ends in a slice: the flat of its tread."""
-    return line(cut.facing(towards, 25).required(f"a {name} with a tread", ADVICE), within).point[0]
+    """Where along the vehicle a tyre ends in a slice: the flat of its tread, not the far one's inner side."""
+    amid = float(middle(cut, "x"))
+    half = cut.between(x=(-math.inf, amid) if towards == "-x" else (amid, math.inf))
+    return line(half.facing(towards, 25).required(f"a {name} with a tread", ADVICE), within).point[0]
 
 
 def _by_chords(heights: list[Quantity], halves: list[Quantity]) -> tuple[Quantity, Quantity]:
