@@ -228,10 +228,8 @@ def _finished(
     if dict(bank.measured_by) != measured_by:
         changed = {f"drift.{name}" for name, _ in bank.measured_by.items() ^ measured_by.items()}
         now = replace(now, measured_by=measured_by, measured=measure_all(exemplars, measured_by, plugins))
-        if changed & {
-            *bank.limits,
-            *(bank.calibration.checks if bank.calibration else ()),
-        }:  # they speak of what was measured before
+        known = {*bank.limits, *(bank.calibration.checks if bank.calibration else ())}
+        if changed & known:  # limits of what was measured before
             now = uncalibrated(now)
             now = replace(now, limits={name: limit for name, limit in now.limits.items() if name not in changed})
     if limits is not None and dict(bank.limits) != limits:

@@ -50,8 +50,7 @@ DEFAULTS: Mapping[str, float] = {
 }
 LEVEL = 0.9  # coverage of the intervals that are told
 OUTSIDE = "outside what it was made for"  # of a learned measure
-SINGLE = 1e-6  # rounding of weights in single precision [frame's size]
-ROOM = 20.0  # a twentieth of a range is the usual limit
+LEAST = 2e-5  # range [frame's size] that a parameter has which is 0 on all exemplars: a twentieth is rounding
 BAND = 0.05  # half the width of the narrow band about the surface [box]
 
 
@@ -261,7 +260,7 @@ def drift_checks(
     Where the ask was corrected so that a `wanted` value is measured, that is what counts.
     """
     found, known, wanted, asked = [], _Measured(mesh, plugins), wanted or {}, columns(bank)
-    least = ROOM * SINGLE / bank.frame.scale  # a parameter that is 0 on all exemplars is measured no better
+    least = LEAST / bank.frame.scale
     for (parameter, address), values in zip(bank.measured_by.items(), bank.measured.T, strict=True):
         unit, spread = asked[address].unit, asked[address].spread
         expected = wanted.get(parameter, float(alpha @ values))

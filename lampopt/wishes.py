@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from lampopt.check import OUTSIDE, SINGLE, Limits
+from lampopt.check import OUTSIDE, Limits
 from lampopt.errors import StudyError
 from lampopt.evaluations import Memory
 from lampopt.goals import Linear, Minimise
@@ -26,6 +26,7 @@ from lampopt.study import Study
 from lampopt.terms import MeasuredValue, Remembered, Row, model_value, shaped
 from lampopt.types import ROUNDING, Array, Bank, Check, Needs, Term
 
+SINGLE = 1e-6  # [frame's size] what is less is rounding
 POWERS = {"L": 1, "L^2": 2, "L^3": 3}  # of the length unit, in a measure's declared units
 SPREAD = 0.2  # range of a measured value that no exemplar tells, in parts of its value at the start
 
@@ -152,7 +153,7 @@ class Wishes:
         return found, given.low, given.high
 
     def _scale(self, quantity: Quantity, *asked: float) -> tuple[float, float]:
-        """Lowest value and range of what is not linear, by the value at the start and those `asked`."""
+        """Lowest value and range of what is not linear: by the value at the start, or if that is 0 by those `asked`."""
         if quantity.model is not None:
             values = self.quantities.over_exemplars(quantity)
             low, spread = float(values.min()), float(np.ptp(values))
@@ -160,9 +161,9 @@ class Wishes:
                 raise StudyError(f"{quantity.name!r}: all exemplars have {low:g} by the model: no mix can change it")
             return low, spread
         value = self.quantities.at(quantity.name, self.study.reference)
-        largest = max(abs(end) for end in (value, *asked) if np.isfinite(end))
         size = self._size(quantity)
-        spread = SPREAD * largest if largest > SINGLE * size else size
+        known = [abs(end) for end in (value, *sorted(asked, key=abs)) if SINGLE * size < abs(end) < np.inf]
+        spread = SPREAD * known[0] if known else size
         return value - spread / 2, spread
 
     def _size(self, quantity: Quantity) -> float:

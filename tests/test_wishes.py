@@ -726,3 +726,15 @@ def test_a_measured_target_beside_a_reference_at_nought_is_no_question_of_roundi
         result = lampopt.run(replace(study, solver="nlopt"), plugins=plugins)
         assert result.accepted, [check for check in result.checks if not check.passed]
         np.testing.assert_allclose(result.design.predicted, [2.2, wanted], atol=1e-4)
+
+
+def test_an_end_that_never_matters_does_not_loosen_the_other():
+    """What a range is off is told by the value at the start, whatever else is asked."""
+    bank, plugins = small.bank(), Plugins.load([("small", small.Plugin())])
+    off = []
+    for high in (inf, 1e9):
+        asked = {"ranges": {"size.volume": (3.0, high)}, "keep": ("length", "width"), "reference": "box_0"}
+        study = Study(bank, solver="nlopt", hard=("length", "width"), measures={"size": toys.Size()}, **asked)
+        off.append(lampopt.run(study, plugins=plugins).check("range.size.volume"))
+    assert not off[0].passed and not off[1].passed
+    assert off[0].value == pytest.approx(off[1].value) == pytest.approx((3.0 - 1.6) * 2 / (0.2 * 1.6), rel=1e-3)

@@ -81,10 +81,8 @@ def _offered_as(kind: str, key: str, name: str | None = None) -> Answer:
     found = Plugins.load().report()
     entries: list[dict[str, Any]] = []
     problems: list[dict[str, Any]] = [asdict(p) for p in found.problems]
-    told = ""
-    for offer in (
-        [found.get(kind, name)] if name else [offer for (k, _), offer in sorted(found.offers.items()) if k == kind]
-    ):
+    told, chosen = "", [found.get(kind, name)] if name else []
+    for offer in chosen or [offer for (k, _), offer in sorted(found.offers.items()) if k == kind]:
         owner = {"plugin": offer.plugin, "distribution": offer.distribution, "version": offer.version}
         try:
             cls = offer.resolve()
