@@ -85,7 +85,10 @@ class Limits:
 
 def _usable(limits: Mapping[str, float], known: frozenset[str], what: str, error: type[InputError]) -> None:
     if unknown := sorted(set(limits) - known):
-        raise error(f"{what}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        raise error(
+            f"{what}: unknown {', '.join(unknown)}; known are {', '.join(sorted(known))}; checks that plugins bring "
+            "have their own"
+        )
     for name, limit in limits.items():
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit <= sys.float_info.max:
             raise error(f"{what}: {name}: expected a finite number of at least 0, got {said(limit)}")

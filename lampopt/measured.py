@@ -59,7 +59,7 @@ def _tell_unit(parameter: str, address: str, given: Array, read: Array) -> None:
         ratios = read / given
     if np.isfinite(ratios).all() and any(np.allclose(ratios, by, rtol=SLIP) for u in UNITS for by in (u, 1 / u)):
         log.warning(
-            "measured: %s is %.4g times what the exemplars' %s is: are the meshes in the unit that was told?",
+            "measured: %s is %.4g times what the exemplars' %s is: are the meshes in the unit that was told (unit=)?",
             *(address, float(np.median(ratios)), parameter),
         )
 

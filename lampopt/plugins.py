@@ -170,7 +170,8 @@ class Plugins:
         if (kind, name) not in self.offers:
             known = ", ".join(sorted(n for k, n in self.offers if k == kind)) or "none"
             broken = f"; not working: {'; '.join(map(str, self.problems))}" if self.problems else ""
-            raise PluginError(f"{kind} {name!r} is not installed; installed are: {known}{broken}")
+            own = f"; a {kind} of your own is registered by a hook (docs: hooks)" if ":" in name else ""
+            raise PluginError(f"{kind} {name!r} is not installed; installed are: {known}{own}{broken}")
         return self.offers[kind, name]
 
     def make(self, kind: str, choice: str | Spec) -> Any:

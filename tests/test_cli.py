@@ -846,3 +846,20 @@ def test_options_that_would_do_nothing_are_refused(ask, tmp_path):
         assert code == 2 and "--unit" in document["error"]["message"]
     code, document, _ = ask("wrap", tmp_path / "car.stl", "--gap", "0.1", "--out", tmp_path / "car.step")
     assert code == 2 and ".step" in document["error"]["message"]
+
+
+def test_a_label_that_is_asked_for_is_shown_with_what_it_is_worth(call, ask, folder):
+    args = ["make", folder / "cars.lamp", "--reference", "car_0", "--reduce", "drag=0.01", *LOOSE, "--level", "alpha"]
+    _, err = call(*args)
+    assert re.search(r"drag \(as labels mix\) +\S+ +\S+", err)
+    assert "drag: mixed from the exemplars' labels, which shapes need not follow" in " ".join(err.split())
+    _, err = call("make", folder / "cars.lamp", "--target", "length=1.2", *LOOSE, "--level", "alpha")
+    assert "labels" not in err
+
+
+def test_a_sweep_says_where_each_design_is(call, ask, study):
+    _, document, _ = ask("sweep", study)
+    for design in document["designs"]:
+        assert (Path(document["folder"]) / "designs" / design["design"] / "mesh.stl").exists()
+    _, err = call("sweep", study)
+    assert all(design["design"] in err for design in document["designs"])

@@ -378,3 +378,9 @@ def test_its_example_is_gone_when_python_ends():
     ).stdout.rsplit(maxsplit=1)
     assert faces == "12"
     assert not Path(place).parent.exists()
+
+
+@pytest.mark.parametrize("unit", ["kg", "mmm"])
+def test_a_unit_that_is_no_length_is_refused(folder, unit):
+    with pytest.raises(InputError, match="unit"):
+        table(folder, labels="drag", unit=unit)()

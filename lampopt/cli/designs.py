@@ -220,7 +220,8 @@ def sweep(
                 failed = next((check for check in result.checks if not check.passed), None)
                 designs.append(_summary(result, opened, failed))
                 asked = [show.number(value) for value in result.design.target.values()]
-                rows.append([number, *asked, show.verdict(result.accepted), _why(failed)])
+                name = "" if result.folder is None else result.folder.name
+                rows.append([number, *asked, show.verdict(result.accepted), _why(failed), name])
         except KeyboardInterrupt as stop:
             made.throw(stop)  # it says how much is done, if it has not already
     accepted = sum(design["accepted"] for design in designs)
@@ -231,9 +232,10 @@ def sweep(
         *(f"{name} {_unit(study, name, plugins)}".rstrip() for name in designs[0]["target"]),
         "accepted",
         "first failing check",
+        "design",
     )
     counted = f"{accepted} of {len(designs)} designs are accepted; all are recorded in {folder}"
-    shown = show.table(str(study_file), columns, rows, right=columns[:-2])
+    shown = show.table(str(study_file), columns, rows, right=columns[:-3])
     return Answer(document, [shown, counted], REJECTED if rejected else DONE)
 
 
@@ -279,9 +281,13 @@ def _listed(name: str, text: str) -> list[str]:
 
 def _shown(result: Result, bank: Bank) -> Sequence[RenderableType]:
     status = f"{result.design.mix.status} mix" + (f": {m}" if (m := result.design.mix.message) else "")
+    told = {check.name.partition(".")[2] for check in result.checks if check.name.startswith("measured.")}
+    mixed = [q.name for q in bank.label_space if q.name in result.design.target and q.name not in told]
+    doubt = "mixed from the exemplars' labels, which shapes need not follow: declare what measures it, or confirm it"
     return [
         show.checks(result),
         show.predicted(result, bank),
+        *([f"{', '.join(mixed)}: {doubt}"] if mixed else []),
         status,
         show.verdict(result.accepted, "accepted: every check passed", f"REJECTED: {_failures(result)}"),
     ]
@@ -303,7 +309,12 @@ def _summary(result: Result, bank: Bank, failed: Check | None) -> dict[str, Any]
     """A design in a sweep's document: its passport without the long lists, and the first check that it fails."""
     full = passport(result, bank)
     kept = {key: full[key] for key in ("target", "accepted", "status", "message", "predicted")}
-    return {**kept, "failed": next((c for c in full["checks"] if failed and c["name"] == failed.name), None)}
+    name = None if result.folder is None else result.folder.name
+    return {
+        **kept,
+        "design": name,
+        "failed": next((c for c in full["checks"] if failed and c["name"] == failed.name), None),
+    }
 
 
 def _unit(study: Study, name: str, plugins: Plugins) -> str:

@@ -74,12 +74,18 @@ def checks(result: Result) -> Table:
 
 
 def predicted(result: Result, bank: Bank) -> Table:
-    """What the design's parameters should be, beside what was asked and what the bank spans."""
-    asked = result.design.target
+    """What the design's parameters and the labels asked should be, beside what was asked and what the bank spans."""
+    asked, alpha = result.design.target, result.design.mix.alpha
     rows = [
         (q.name, number(asked.get(q.name)), number(_unrounded(float(value), q)), q.unit, span(q.low, q.high))
         for q, value in zip(bank.space, result.design.predicted, strict=True)
     ]
+    for q, values in zip(bank.label_space, bank.labels.T, strict=True):
+        if q.name in asked:
+            mixed = float(alpha[alpha != 0] @ values[alpha != 0])
+            rows.append(
+                (f"{q.name} (as labels mix)", number(asked[q.name]), number(mixed), q.unit, span(q.low, q.high))
+            )
     columns = ("parameter", "asked", "predicted", "unit", "in the bank")
     return table("parameters", columns, rows, right=("asked", "predicted"))
 

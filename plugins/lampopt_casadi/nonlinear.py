@@ -35,7 +35,7 @@ WORDS = {
     "Infeasible_Problem_Detected": "no mix nearby meets all constraints",
     "Restoration_Failed": "no mix nearby was found that meets all constraints",
     "Search_Direction_Becomes_Too_Small": "the search came to a halt: a term may not be smooth",
-    "Invalid_Number_Detected": "a term has no finite value or gradient where the search went",
+    "Invalid_Number_Detected": "a term has no finite value or gradient where the search went; 'nlopt' needs none",
 }
 
 

@@ -90,7 +90,8 @@ class Column:
             return
         bad = ~np.isfinite(self.values) & ~(self.empty & gaps)
         for row in np.flatnonzero(bad):
-            got = "an empty cell" if self.empty[row] else short(self.cells[int(row)].as_py())
+            empty = "an empty cell; those of labels may be (labels=)"
+            got = empty if self.empty[row] else short(self.cells[int(row)].as_py())
             yield f"row {row + 1}, column {self.name!r}: expected a number, got {got}"
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from lampopt.errors import InputError
 from lampopt.meshfile import SUFFIXES
 from lampopt.types import Array, Exemplars, Parameter
+from lampopt.units import factor
 
 from .columns import Column, columns, first, name_and_unit, read
 from .example import temporary
@@ -74,6 +75,7 @@ class Table:
         for option in ("table", "meshes", "labels", "unit", "parameters"):
             if not isinstance(getattr(self, option), str):
                 raise InputError(f"{option}: expected text, got {short(getattr(self, option))}")
+        factor(self.unit, "m", "unit")  # raises where it is no length
         path = Path(self.table)
         shapeless = self.meshes == NONE
         folder = Path(self.meshes) if self.meshes and not shapeless else path.parent
