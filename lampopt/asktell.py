@@ -217,8 +217,9 @@ class AskTell:
             best = self.best() or self._asked
             assert best is not None  # a search has an end or a candidate
             problem = self._posed.problem
-            residual = problem.matrix @ best.alpha[self._posed.active] - problem.target
-            met = np.abs(residual).max(initial=0.0) <= HELD
+            alpha = best.alpha[self._posed.active]
+            residual = problem.matrix @ alpha - problem.target
+            met = max(np.abs(residual).max(initial=0.0), merit(problem, alpha)[0]) <= HELD
             words = f"the best of {len(self._known)} evaluations of a search that goes on"
             mix = Mix(best.alpha, residual, "exact" if met else "inexact", words)
         return self._task.judge(self._target, self._posed, mix)

@@ -45,9 +45,6 @@ def _nobody_elses(cls: type) -> str:
 
 
 def _uncommented(text: str) -> str:
-    lines = text.split("\n")  # as tokens count them: a form feed ends no line
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.COMMENT:
-            line, column = token.start
-            lines[line - 1] = lines[line - 1][:column]
-    return "\n".join(filter(None, map(str.rstrip, lines)))
+    """Its tokens, one a line; a line within a text is part of it."""
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    return "\n".join(repr(token.string) for token in tokens if token.type not in (tokenize.COMMENT, tokenize.NL))

@@ -6,6 +6,7 @@ import hashlib
 import json
 import pickle
 import uuid
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -103,10 +104,31 @@ def given(measure: Measure | Model) -> list[str]:
 
 def _state_of(given: object) -> str:
     """A hash of what an object holds, part by part where it can be: a pickle of all also says which parts are one."""
+    if _parts(given) is not None:
+        return _held(given)
     made: Any = given.__reduce_ex__(4)
     apart = isinstance(made, tuple) and len(made) > 2 and isinstance(made[2], dict) and not any(made[3:])
     parts = {"how it is made": made[:2], **made[2]} if apart else {"all of it": given}
-    return hashed({str(name): hashlib.blake2b(pickle.dumps(value)).hexdigest() for name, value in parts.items()})
+    return hashed({str(name): _held(value) for name, value in parts.items()})
+
+
+def _held(value: object) -> str:
+    """A hash of one part."""
+    if isinstance(value, set | frozenset):  # whose order is another in each process
+        return hashed(sorted(map(_held, value)))
+    if (parts := _parts(value)) is not None:
+        return hashed({name: _held(part) for name, part in parts.items()})
+    return hashlib.blake2b(pickle.dumps(value)).hexdigest()
+
+
+def _parts(value: object) -> dict[str, object] | None:
+    """A dataclass' fields, a mesh's vertices and faces: what either keeps of its own work is no part of it."""
+    cls = type(value)
+    if is_dataclass(cls):
+        return {"class": [cls.__module__, cls.__qualname__], **{f.name: getattr(value, f.name) for f in fields(cls)}}
+    if cls.__module__.startswith("trimesh.") and hasattr(value, "faces"):
+        return {name: np.asarray(getattr(value, name)) for name in ("vertices", "faces")}
+    return None
 
 
 def hashed(value: object) -> str:

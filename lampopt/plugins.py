@@ -22,7 +22,7 @@ import numpy.typing as npt
 import pluggy
 
 from lampopt import hookspecs, protocols
-from lampopt.code import source_of
+from lampopt.code import definition_of, source_of
 from lampopt.errors import PluginError
 from lampopt.types import Array, Result, Scalar, Spec, frozen_array
 
@@ -85,7 +85,7 @@ class Offer:
     @property
     def exactly(self) -> list[str]:
         """Who offers it, and what defines it: its version stays while a plugin is written."""
-        return [str(self), source_of(self.resolve())]
+        return [str(self), definition_of(self.resolve())]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from lampopt_gridsdf import GridSDF
-from toys import KKT, Boxes, Drag, Linear, Nothing, Size, Volume
+from toys import KKT, Able, Boxes, Drag, Linear, Nothing, Size, Volume
 
 from lampopt.decode import NarrowBand
 from lampopt.errors import EmptyMesh
@@ -160,6 +160,20 @@ class FirstOfTheBatch(GridSDF):
 class UnseededProbes(GridSDF):
     def probes(self, shared, count, seed):
         return np.tanh(noise(count, 3))
+
+
+@breaks("check_probes_cover_the_domain")
+class ProbesTheMiddle(GridSDF):
+    def probes(self, shared, count, seed):
+        return np.zeros((count, 3))
+
+
+@breaks("check_fit_leaves_its_inputs")
+class PreparesInPlace(GridSDF):
+    def prepare(self, meshes, *, mean, seed):
+        found = super().prepare(meshes, mean=mean, seed=seed)
+        mean.vertices = np.asarray(mean.vertices) * 1.01
+        return found
 
 
 @breaks("check_decode_gives_a_closed_mesh")
@@ -435,6 +449,43 @@ class IgnoresObjectives(Ignores):
 class IgnoresConstraints(Ignores):
     def ignored(self):
         return {"constraints": ()}
+
+
+@breaks("check_equalities_are_kept_or_refused")
+class IgnoresEqualities(Ignores):
+    def ignored(self):
+        return {"equalities": ()}
+
+
+class Forgets(Able):
+    """Knows what it is asked, and leaves a part of it out."""
+
+    def solve(self, p):
+        return super().solve(replace(p, **{name: value for name, value in self.left(p).items() if len(value)}))
+
+
+@breaks("check_ranges_are_kept_or_refused")
+class ForgetsHighEnds(Forgets):
+    def left(self, p):
+        return {"range_high": np.full(len(p.range_high), np.inf)}
+
+
+@breaks("check_bounds_are_kept_or_refused")
+class ForgetsHighBounds(Forgets):
+    def left(self, p):
+        return {} if p.alpha_high is None else {"alpha_high": np.full(len(p.centre), 1e3)}
+
+
+@breaks("check_objectives_are_minimised_or_refused")
+class OneObjectiveWillDo(Forgets):
+    def left(self, p):
+        return {"objectives": p.objectives[:1]}
+
+
+@breaks("check_constraints_are_kept_or_refused")
+class OneConstraintWillDo(Forgets):
+    def left(self, p):
+        return {"constraints": p.constraints[:1]}
 
 
 @breaks("check_norm_1_is_used_or_refused")

@@ -10,6 +10,7 @@ from broken import BROKEN, breaks, noise
 from toys import Boxes, Drag, Learned, Linear, Nothing, Roughly, Size, Volume
 
 from lampopt.errors import MeasureError
+from lampopt.testing import shapes
 from lampopt.types import Check
 
 __all__ = ["BROKEN"]
@@ -682,6 +683,18 @@ class RoundsWhatItIsAsked(Yields):
 class MeasuredNowAndThen(Yields):
     def spoil(self, found):
         return replace(found, measured={"length": "extents.length"} if next(TURN) else {})
+
+
+@breaks("check_source_mesh_at_is_the_exemplar")
+class TruthHasACavity(Yields):
+    def spoil(self, found):
+        def truth(row):
+            made = self.mesh_at(row)
+            inner = shapes.ellipsoid(np.full(3, 0.3 * made.extents.min()), centre=made.bounds.mean(0))
+            inner.invert()
+            return made + inner
+
+        return replace(found, mesh_at=truth)
 
 
 @breaks("check_source_mesh_at_is_the_exemplar")

@@ -419,3 +419,14 @@ def test_wrong_arguments_are_refused(bank):
             search(Study(bank), scale=scale)
     with pytest.raises(StudyError, match="study: expected a Study"):
         AskTell(bank)
+
+
+def test_the_best_so_far_is_exact_only_where_all_of_it_is_met():
+    """Ranges and hard targets on what is measured count too, while the search goes on."""
+    bank, plugins = small.bank(), Plugins.load([("small", small.Plugin())])
+    measured = {"measures": {"own": toys.Volume()}, "solver": "nlopt"}
+    for asked in ({"targets": {"own.volume": 4.0}, "hard": ("own.volume",)}, {"ranges": {"own.volume": (4.0, 5.0)}}):
+        search = AskTell(Study(bank, **asked, **measured), plugins=plugins)
+        search.tell(search.ask(), 1.0)
+        result = search.result()
+        assert result.design.mix.status == "inexact" and not result.accepted

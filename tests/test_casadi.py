@@ -538,3 +538,11 @@ def test_any_mixture_of_demands_has_an_answer_that_is_told_true(seed):
     assert kept or mix.status == "infeasible"
     if mix.status == "exact":
         assert np.abs(mix.residual).max(initial=0.0) <= 1e-6
+
+
+def test_a_requirement_without_a_value_is_a_failure_with_words():
+    """Not an IndexError in the middle of a study."""
+    nothing = Problem((), np.empty((0, 3)), np.empty(0), ridge=1.0)
+    for where in ("constraints", "equalities"):
+        mix = CasADi().solve(replace(nothing, **{where: (lambda alpha: (np.nan, np.full(3, np.nan)),)}))
+        assert mix.status == "failed" and "no finite value" in mix.message

@@ -98,3 +98,11 @@ def test_a_bank_is_not_built_by_two_versions_of_a_decoder(written, tmp_path, mon
     with pytest.raises(BankError, match=f"{holds} made from other exemplars, options or seed"):
         build("1.5")
     assert build("1.0").weights[0, 0] == pytest.approx(small.bank().weights[0, 0])
+
+
+def test_empty_lines_within_a_text_are_part_of_it():
+    from lampopt.code import _uncommented
+
+    assert _uncommented('t = """a\n\nb"""\n') != _uncommented('t = """a\nb"""\n')
+    assert _uncommented("a = 1  # one\n\n\nb = 2\n") == _uncommented("# two\na = 1\nb = 2\n")
+    assert _uncommented("if a:\n    b\nc\n") != _uncommented("if a:\n    b\n    c\n")

@@ -1,5 +1,6 @@
 """Solver `kkt` against solutions found otherwise: the whole KKT system by numpy, SLSQP by scipy, closed forms."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -82,7 +83,7 @@ def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside)
     def limits():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
-    threads._libraries.cache_clear()  # other tests may have loaded more libraries since
+    threads._one_thread.cache_clear()  # other tests may have loaded more libraries since
     inside, real = [], kkt._solve
     monkeypatch.setattr(kkt, "_solve", lambda *args: inside.append(limits()) or real(*args))
     with threadpool_limits(outside, "blas"):
@@ -96,7 +97,7 @@ def test_one_blas_thread_within_and_the_users_number_after(monkeypatch, outside)
 def test_thread_pools_are_looked_for_once(monkeypatch):
     looked = []
     monkeypatch.setattr(threads, "ThreadpoolController", lambda: looked.append(1) or ThreadpoolController())
-    threads._libraries.cache_clear()
+    threads._one_thread.cache_clear()
     for seed in range(3):
         KKT().solve(problem(seed))
     assert len(looked) == 1
@@ -512,3 +513,32 @@ def test_ridges_that_do_not_fit_are_refused(ridges):
 
 def test_no_targets_are_no_mixes():
     assert len(KKT().solve_many(problem(), np.empty((0, 4)))) == 0
+
+
+@pytest.mark.parametrize("first", ["leaves first", "leaves last"])
+def test_threads_that_overlap_leave_the_users_number(first):
+    threads._one_thread.cache_clear()
+
+    def limits():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    with threadpool_limits(2, "blas"):
+        before, entered, left = limits(), threading.Event(), threading.Event()
+
+        def other():
+            with threads.one_thread():
+                entered.set()
+                left.wait(10)
+
+        thread = threading.Thread(target=other)
+        with threads.one_thread(), threads.one_thread():
+            thread.start()
+            entered.wait(10)
+            assert limits() == {1}
+            if first == "leaves last":
+                left.set()
+                thread.join()
+                assert limits() == {1}
+        left.set()
+        thread.join()
+        assert limits() == before

@@ -324,3 +324,30 @@ def test_the_notes_of_a_sweep_are_read(notes, fault):
     kills.judge(notes, [set(), first], tally)
     assert [fault in found for found in tally.faults[:1]] == [True] if fault else tally.faults == []
     assert tally.begun_again == tally.begun - 2
+
+
+def test_a_decoder_that_was_typed_is_nobody_elses(tmp_path):
+    """Its code is in no file: a bank that another process built by the same name is refused, not read."""
+    program = """
+import lampopt, small
+from lampopt.plugins import Plugins
+
+class Typed(small.Stretch):
+    def fit(self, shared, meshes, *, seed, progress=None):
+        weights, error = super().fit(shared, meshes, seed=seed)
+        return weights * {factor}, error
+
+class Offer:
+    @lampopt.hookimpl
+    def lampopt_decoders(self):
+        return {{"typed": Typed}}
+
+small.bank(decoder="typed", plugins=small.plugins(("typed", Offer())), store="typed.lamp")
+"""
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])}
+    said = []
+    for factor in (1.0, 0.5):
+        command = [sys.executable, "-c", program.format(factor=factor)]
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=120)
+        said.append((done.returncode, "made from other exemplars, options or seed" in done.stderr))
+    assert said == [(0, False), (1, True)]

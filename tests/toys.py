@@ -73,6 +73,7 @@ class KKT:
             "bounds": p.alpha_low is not None or p.alpha_high is not None,
             "objectives": len(p.objectives),
             "constraints": len(p.constraints),
+            "equalities": len(p.equalities),
             "norm 1": p.norm == 1,
         }.items():
             if asked:
@@ -280,7 +281,8 @@ class Able(KKT):
     def solve(self, p):
         from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize
 
-        special = [p.range_names, p.objectives, p.constraints, p.norm == 1, p.alpha_low is not None]
+        bounded = p.alpha_low is not None or p.alpha_high is not None
+        special = [p.range_names, p.objectives, p.constraints, p.equalities, p.norm == 1, bounded]
         if not any(special):
             return super().solve(p)
         n = len(p.centre)
@@ -299,8 +301,12 @@ class Able(KKT):
         if p.range_names:
             shift = p.range_matrix @ p.centre
             kept.append(LinearConstraint(p.range_matrix @ parts, p.range_low - shift, p.range_high - shift))
-        if p.alpha_low is not None:
-            kept.append(LinearConstraint(parts, p.alpha_low - p.centre, np.inf))
+        if bounded:
+            ends = [
+                np.full(n, end) if one is None else one for one, end in ((p.alpha_low, -np.inf), (p.alpha_high, np.inf))
+            ]
+            kept.append(LinearConstraint(parts, ends[0] - p.centre, ends[1] - p.centre))
+        kept += [NonlinearConstraint(lambda x, g=g: g(p.centre + parts @ x)[0], 0, 0) for g in p.equalities]
         kept += [NonlinearConstraint(lambda x, g=g: g(p.centre + parts @ x)[0], -np.inf, 0) for g in p.constraints]
         low = 0 if p.norm == 1 else -np.inf
         found = minimize(

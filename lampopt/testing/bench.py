@@ -88,7 +88,8 @@ def bench(decoder: Decoder) -> Bench:
 def _make(decoder: Decoder) -> Bench:
     half, meshes = meshes_for(decoder)
     before = random_state()
-    prepared = decoder.prepare([m.copy() for m in meshes], mean=meshes[BOX].copy(), seed=SEED)
+    own = [m.copy() for m in (*meshes, meshes[BOX])]  # the last as the mean
+    prepared = decoder.prepare(own[:-1], mean=own[-1], seed=SEED)
     shared = {name: read_only(array) for name, array in prepared.items()}
     given, copies, reports = writable(shared), [m.copy() for m in meshes], list[float]()
     weights, error = decoder.fit(given, copies, seed=SEED, progress=lambda done, message="", /: reports.append(done))
@@ -100,6 +101,8 @@ def _make(decoder: Decoder) -> Bench:
     touched = [f"shared[{n!r}]" for n in shared if n not in given or not np.array_equal(given[n], shared[n])]
     touched += [f"shared[{n!r}] (new)" for n in given if n not in shared]
     touched += [f"mesh {i}" for i, m in enumerate(copies) if not same_mesh(m, meshes[i])]
+    theirs = zip(own, (*meshes, meshes[BOX]), strict=True)
+    touched += [f"mesh {i} (in prepare)" for i, (m, given) in enumerate(theirs) if not same_mesh(m, given)]
     weights, error, points = map(read_only, (weights, error, points))
     return Bench(
         decoder, half, meshes, prepared, shared, weights, error, points, tuple(touched), tuple(moved), tuple(reports)

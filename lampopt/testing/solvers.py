@@ -215,6 +215,8 @@ def check_ranges_are_kept_or_refused(solver: Solver) -> None:
     )  # fmt: skip
     mix = _ability(solver, ranged, ("range", "inequalit"))
     _agree(mix.alpha, closed_form(active), "an active range", 1e-4)
+    turned = replace(ranged, range_matrix=-row[None], range_low=np.array([-np.inf]), range_high=np.array([-floor]))
+    _agree(solver.solve(turned).alpha, closed_form(active), "an active range, its high end", 1e-4)
 
 
 def check_bounds_are_kept_or_refused(solver: Solver) -> None:
@@ -222,6 +224,8 @@ def check_bounds_are_kept_or_refused(solver: Solver) -> None:
     one = Problem(("q",), np.array([[-1.0, 0.0, 1.0]]), np.ones(1), hard=np.ones(1), ridge=0.0, alpha_low=np.zeros(3))
     mix = _ability(solver, one, ("bound", "alpha_low"))
     _agree(mix.alpha, np.array([0.0, 0.0, 1.0]), "alpha >= 0", 1e-4)
+    two = Problem(("q",), np.array([[0.0, 1.0, 1.0]]), np.array([2.0]), ridge=0.0, alpha_high=np.array([3.0, 0.8, 0.7]))
+    _agree(solver.solve(two).alpha, np.array([-0.5, 0.8, 0.7]), "alpha <= 0.8 and 0.7", 1e-4)
 
 
 def check_objectives_are_minimised_or_refused(solver: Solver) -> None:
@@ -230,14 +234,33 @@ def check_objectives_are_minimised_or_refused(solver: Solver) -> None:
     asked = replace(p, objectives=(lambda alpha: (float((alpha - aim) @ (alpha - aim)), 2 * (alpha - aim)),))
     mix = _ability(solver, asked, ("objective",))
     _agree(mix.alpha, (p.centre + aim) / 2, "‖alpha − aim‖² + ‖alpha − centre‖²", 1e-3)
+    other = np.eye(8)[5]
+    more = (*asked.objectives, lambda alpha: (float((alpha - other) @ (alpha - other)), 2 * (alpha - other)))
+    both = solver.solve(replace(asked, objectives=more))
+    _agree(both.alpha, (p.centre + aim + other) / 3, "two objectives", 1e-3)
 
 
 def check_constraints_are_kept_or_refused(solver: Solver) -> None:
     """A constraint that is ignored lets a forbidden design pass for a good one."""
     unit = np.eye(4)[0]
     p = Problem((), np.empty((0, 4)), np.empty(0), ridge=1.0)
-    mix = _ability(solver, replace(p, constraints=(lambda alpha: (float(alpha[0] - 0.1), unit),)), ("constraint",))
+    asked = replace(p, constraints=(lambda alpha: (float(alpha[0] - 0.1), unit),))
+    mix = _ability(solver, asked, ("constraint",))
     _agree(mix.alpha, np.array([0.1, 0.3, 0.3, 0.3]), "alpha[0] <= 0.1", 1e-3)
+    other = np.eye(4)[1]
+    both = solver.solve(replace(asked, constraints=(*asked.constraints, lambda alpha: (float(alpha[1] - 0.2), other))))
+    _agree(both.alpha, np.array([0.1, 0.2, 0.35, 0.35]), "alpha[0] <= 0.1, alpha[1] <= 0.2", 1e-3)
+
+
+def check_equalities_are_kept_or_refused(solver: Solver) -> None:
+    """A hard target on what is measured is an equality: ignored, a miss passes for a hit."""
+    unit = np.eye(4)[0]
+    p = Problem((), np.empty((0, 4)), np.empty(0), ridge=1.0)
+    for wanted in (0.1, 0.7):
+        asked = replace(p, equalities=(lambda alpha, wanted=wanted: (float(alpha[0] - wanted), unit),))
+        mix = _ability(solver, asked, ("equalit",))
+        rest = (1 - wanted) / 3
+        _agree(mix.alpha, np.array([wanted, rest, rest, rest]), f"alpha[0] = {wanted}", 1e-3)
 
 
 def check_norm_1_is_used_or_refused(solver: Solver) -> None:
@@ -269,5 +292,6 @@ CHECKS: tuple[CheckFunction, ...] = (
     check_bounds_are_kept_or_refused,
     check_objectives_are_minimised_or_refused,
     check_constraints_are_kept_or_refused,
+    check_equalities_are_kept_or_refused,
     check_norm_1_is_used_or_refused,
 )

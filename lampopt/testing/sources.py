@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from lampopt.protocols import Source
-from lampopt.testing.bench import same_mesh
+from lampopt.testing.bench import mean_distance, same_mesh
 from lampopt.testing.engine import COMMON, CheckFunction, NotApplicable, expect, require
 from lampopt.types import Exemplars
 
 FEW = 4  # exemplars whose meshes are loaded
 FITS = 0.02  # of a mesh's diagonal
+ALIKE = 1e-3  # of it, the mean distance of two surfaces
 
 
 def _few(exemplars: Exemplars) -> list[int]:
@@ -99,6 +100,8 @@ def check_source_mesh_at_is_the_exemplar(source: Any) -> None:
         expect(np.array_equal(row, found.parameters[i]), "mesh_at changed the parameters that it was given")
         apart = np.abs(np.asarray(true.bounds) - np.asarray(given.bounds)).max() / given.scale
         expect(apart <= FITS, f"mesh_at the parameters of {found.names[i]!r} is {apart:.1%} of its size off")
+        apart = max(mean_distance(true, given), mean_distance(given, true)) / given.scale
+        expect(apart <= ALIKE, f"mesh_at the parameters of {found.names[i]!r} has another surface, {apart:.2%} off")
 
 
 CHECKS: tuple[CheckFunction, ...] = (

@@ -227,6 +227,8 @@ class _Elastic:
         if np.abs(self.given).max(initial=0.0) <= HELD:
             return ()
         part = np.flatnonzero((np.abs(self.given) > HELD) | (self.pressure > PRESSING))
+        if not len(part):  # a term without a value tells of none
+            return ()
         names, amounts, alone = [self.names[i] for i in part], self.given[part], [self._alone(int(i)) for i in part]
         if self.pressed:
             names, amounts, alone = [*names, BOUNDS], np.append(amounts, 0.0), [*alone, np.nan]

@@ -18,6 +18,9 @@ def held_off(problem: Problem, residual: Array) -> str:
 
 def infeasible(alpha: Array, residual: Array, conflicts: tuple[Conflict, ...]) -> Mix:
     """The nearest mix where requirements contradict each other."""
-    sets = "; ".join(" + ".join(c.names) if len(c.names) > 1 else f"{c.names[0]} cannot be met" for c in conflicts)
-    words = f"no mix of these exemplars meets all that is asked: {sets} contradict each other; the nearest is returned"
+    sets = "; ".join(
+        f"{' + '.join(c.names)} contradict each other" if len(c.names) > 1 else f"{c.names[0]} cannot be met"
+        for c in conflicts
+    )
+    words = f"no mix of these exemplars meets all that is asked: {sets}; the nearest is returned"
     return Mix(alpha, residual, "infeasible", words, conflicts)

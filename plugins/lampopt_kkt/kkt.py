@@ -182,8 +182,11 @@ def _echelon(basis: Array) -> Array:
 
 def _message(problem: Problem, residual: Array, conflicts: tuple[Conflict, ...]) -> str:
     if conflicts:
-        sets = "; ".join(" + ".join(c.names) if len(c.names) > 1 else f"{c.names[0]} cannot move" for c in conflicts)
-        return f"no mix of these exemplars meets all targets: {sets} contradict each other; the nearest is returned"
+        sets = "; ".join(
+            f"{' + '.join(c.names)} contradict each other" if len(c.names) > 1 else f"{c.names[0]} cannot move"
+            for c in conflicts
+        )
+        return f"no mix of these exemplars meets all targets: {sets}; the nearest is returned"
     if len(residual) and np.abs(residual).max() > MET * (1 + np.abs(problem.target).max()):
         worst = int(np.abs(residual).argmax())
         return f"targets could be met, but ridge or weights hold {problem.names[worst]} off by {residual[worst]:+.3g}"

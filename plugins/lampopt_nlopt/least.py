@@ -102,9 +102,14 @@ class Squares:
         )
 
     @property
+    def lengths(self) -> Array:
+        """Of the weighted rows."""
+        return np.asarray(np.sqrt(self.weight) * np.linalg.norm(self.rows, axis=1))
+
+    @property
     def size(self) -> float:
         """Length of the largest weighted row; what is far below is noise."""
-        return float((np.sqrt(self.weight) * np.linalg.norm(self.rows, axis=1)).max(initial=0.0))
+        return float(self.lengths.max(initial=0.0))
 
     @property
     def then(self) -> Squares | None:
@@ -140,7 +145,8 @@ def least_squares(squares: Squares, lines: Lines) -> Array | None:
 
 def _within(squares: Squares, equal: Lines, within: Lines) -> Array | None:
     start, basis = equal.free(squares.centre)
-    ridge = max(squares.ridge, FLOOR * squares.size**2) if squares.size else 1.0
+    lengths = squares.lengths[squares.lengths > 0]
+    ridge = max(squares.ridge, FLOOR * float(lengths.min()) ** 2) if len(lengths) else 1.0  # the least counts too
     matrix, right = squares.system(start, basis, ridge)
     above, below = np.isfinite(within.low), np.isfinite(within.high)
     rows = np.vstack([within.rows[above], -within.rows[below]])

@@ -166,8 +166,11 @@ def _told(problem: Problem, alpha: Array, words: str, held: float) -> Mix:
         return Mix(alpha, residual, "exact", only or f"every target is met{after}")
     if not conflicts:
         return Mix(alpha, residual, "inexact", f"{_held_off(problem, residual)}{after}")
-    sets = "; ".join(" + ".join(c.names) if len(c.names) > 1 else f"{c.names[0]} cannot be met" for c in conflicts)
-    said = f"no mix of these exemplars meets all that is asked: {sets} contradict each other; the nearest is returned"
+    sets = "; ".join(
+        f"{' + '.join(c.names)} contradict each other" if len(c.names) > 1 else f"{c.names[0]} cannot be met"
+        for c in conflicts
+    )
+    said = f"no mix of these exemplars meets all that is asked: {sets}; the nearest is returned"
     return Mix(alpha, residual, "infeasible", f"{said}{after}", conflicts)
 
 
