@@ -170,7 +170,6 @@ def test_source():
     [
         ({"chordwise": 3}, "chordwise: expected a whole number from 4 to 2,000, got 3"),
         ({"spanwise": 2.5}, "spanwise: expected a whole number from 10 to 2,000, got 2.5"),
-        ({"count": 0}, "at least 1, got 0"),
         ({"labels": "cfd"}, "labels: expected one of aerobuildup, vlm or none, got 'cfd'"),
         ({"alpha": 45.0}, "alpha: expected a number from -30 to 30, got 45.0"),
         ({"mach": 0}, "mach: expected a number more than 0 to 0.9, got 0"),

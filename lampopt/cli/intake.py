@@ -66,7 +66,7 @@ def intake(
         lampopt intake car.obj suv.dae more_cars/
         lampopt intake --source plate
     """
-    factor(unit or "m", "m", "--unit")  # raises where it is no length
+    factor("m" if unit is None else unit, "m", "--unit")  # raises where it is no length
     found, family = _exemplars(what, meshes, unit, source, settings)
     with progress_bar("intake") as progress:
         report = look(found, repair=repair, accept=ALL if ALL in accept else accept, fellows=family, progress=progress)
@@ -114,9 +114,9 @@ def _exemplars(
     tables = [path for path in what if path.suffix.lower() in TABLES]
     if bool(source) == bool(what) or (tables and len(what) > 1):
         raise InputError("expected one table, or mesh files and folders, or --source NAME")
-    if source is not None and (meshes or unit):
+    if source is not None and (meshes is not None or unit is not None):
         raise InputError("--meshes and --unit go with a table or meshes; options of a source go behind --set")
-    unit = unit or "m"
+    unit = "m" if unit is None else unit
     if source is None and not tables:
         if meshes is not None or settings:
             raise InputError("--meshes and --set go with a table, got mesh files")

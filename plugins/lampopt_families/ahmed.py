@@ -56,7 +56,7 @@ class AhmedSource:
     Parameters
     ----------
     count
-        How many exemplars; by default 100, and 15 for the design `ends`, which has no other number.
+        How many exemplars; 0 for 100, and 15 for the design `ends`, which has no other number.
     design
         `ends`: the middle of the range, which is the body as published, and each parameter's two ends. `lhs`, `sobol`,
         `random`: `count` draws over the range by Latin hypercube, scrambled Sobol sequence, or independently.
@@ -73,7 +73,7 @@ class AhmedSource:
         For options that make no family.
     """
 
-    count: int | None = None
+    count: int = 0
     design: str = "ends"
     seed: int = 0
     stilts: bool = True

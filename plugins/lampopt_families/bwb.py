@@ -47,7 +47,7 @@ class BwbSource:
     Parameters
     ----------
     count
-        How many exemplars; by default 100, and 19 for the design `ends`, which has no other number.
+        How many exemplars; 0 for 100, and 19 for the design `ends`, which has no other number.
     design
         `ends`: the middle of the range and each parameter's two ends. `lhs`, `sobol`, `random`: `count` draws over
         the range.
@@ -70,7 +70,7 @@ class BwbSource:
         For options that make no family.
     """
 
-    count: int | None = None
+    count: int = 0
     design: str = "lhs"
     seed: int = 0
     half: bool = True

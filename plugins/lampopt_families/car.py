@@ -66,7 +66,7 @@ class CarSource:
     Parameters
     ----------
     count
-        How many exemplars; by default 100, and 33 for the design `ends`, which has no other number.
+        How many exemplars; 0 for 100, and 33 for the design `ends`, which has no other number.
     design
         `ends`: the middle of the range and each parameter's two ends. `lhs`, `sobol`, `random`: `count` draws over the
         range by Latin hypercube, scrambled Sobol sequence, or independently.
@@ -81,7 +81,7 @@ class CarSource:
         For options that make no family.
     """
 
-    count: int | None = None
+    count: int = 0
     design: str = "lhs"
     seed: int = 0
     edge: float = 36.0

@@ -79,7 +79,7 @@ class FrameSource:
     Parameters
     ----------
     count
-        How many exemplars; by default 100, and 31 for the design `ends`, which has no other number.
+        How many exemplars; 0 for 100, and 31 for the design `ends`, which has no other number.
     design
         `ends`: the middle of the range and each parameter's two ends. `lhs`, `sobol`, `random`: `count` draws over
         the range by Latin hypercube, scrambled Sobol sequence, or independently.
@@ -100,7 +100,7 @@ class FrameSource:
         For options that make no family.
     """
 
-    count: int | None = None
+    count: int = 0
     design: str = "lhs"
     seed: int = 0
     segments: int = 32

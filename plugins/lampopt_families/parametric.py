@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 MOST = 100_000  # exemplars; beyond lies a slip, or a machine out of memory
-DRAWS = 100  # exemplars, unless `count` says otherwise
+DRAWS = 100  # exemplars, unless `count` says otherwise, by a number above 0
 SEEDS = 2**63  # what a draw can begin from
 
 
@@ -87,31 +87,27 @@ class Family:
         """The parameters' names."""
         return tuple(q.name for q in self.space)
 
-    def checked_options(self, count: int | None, design: str, seed: int) -> None:
+    def checked_options(self, count: int, design: str, seed: int) -> None:
         """Raise InputError for draws that cannot be made."""
-        check_draws(self.name, design, count=1 if count is None else count, seed=seed)
-        if count is None:
-            return
-        if design == "ends" and count != self.ends:
+        check_draws(self.name, design, count=count, seed=seed)
+        if design == "ends" and count not in (0, self.ends):
             raise InputError(
                 f"{self.name}: design 'ends' has {self.ends} exemplars, got count={count}; "
                 "for another count choose lhs, sobol or random"
             )
-        if count < 1:
-            raise InputError(f"{self.name}: count: expected at least 1, got {count}")
 
     @property
     def ends(self) -> int:
         """How many exemplars the design `ends` has: the middle of the range and each parameter's two ends."""
         return 2 * len(self.space) + 1
 
-    def exemplars(self, count: int | None, design: str, seed: int) -> Exemplars:
-        """The exemplars, without a `count` as many as the design has, or DRAWS; names say the end, or count them."""
+    def exemplars(self, count: int, design: str, seed: int) -> Exemplars:
+        """The exemplars, with `count` 0 as many as the design has, or DRAWS; names say the end, or count them."""
         self.checked_options(count, design, seed)
         if design == "ends":
             names, parameters = self._at_the_ends()
         else:
-            count = DRAWS if count is None else count
+            count = count or DRAWS
             names = tuple(f"{self.name}_{i:0{len(str(count - 1))}d}" for i in range(count))
             parameters = draws(design, count, self.low, self.high, seed)
         return Exemplars(

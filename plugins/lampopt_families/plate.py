@@ -29,7 +29,7 @@ class PlateSource:
     Parameters
     ----------
     count
-        How many exemplars; by default 100, and 13 for the design `ends`, which has no other number.
+        How many exemplars; 0 for 100, and 13 for the design `ends`, which has no other number.
     design
         `ends`: the middle of the range and each parameter's two ends, the paper's 13. `lhs`, `sobol`, `random`:
         `count` draws over the range by Latin hypercube, scrambled Sobol sequence, or independently.
@@ -45,7 +45,7 @@ class PlateSource:
         For options that make no family.
     """
 
-    count: int | None = None
+    count: int = 0
     design: str = "ends"
     seed: int = 0
     segments: int = 128
