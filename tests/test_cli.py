@@ -863,3 +863,10 @@ def test_a_sweep_says_where_each_design_is(call, ask, study):
         assert (Path(document["folder"]) / "designs" / design["design"] / "mesh.stl").exists()
     _, err = call("sweep", study)
     assert all(design["design"] in err for design in document["designs"])
+
+
+def test_the_folder_of_out_is_made_before_long_work(ask, folder, tmp_path):
+    out = tmp_path / "new" / "drag.model"
+    asked = ["model", "fit", "linear", "--bank", folder / "cars.lamp", "--label", "drag", "--out", out]
+    code, document, _ = ask(*asked)
+    assert (code, out.exists()) == (0, True), document

@@ -3,6 +3,8 @@
 import copy
 import importlib
 import inspect
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -210,3 +212,28 @@ def test_box_and_ellipsoid_are_exact():
     assert box.bounds.tolist() == [[0.5, -1, -1.5], [1.5, 1, 1.5]]
     assert np.allclose(((ball.vertices / [1, 2, 3]) ** 2).sum(1), 1)
     assert ball.volume == pytest.approx(8 * np.pi, rel=0.01)
+
+
+def test_torch_is_watched_where_only_the_decoder_loads_it():
+    """In a process of its own: here other tests have loaded it."""
+    program = """
+import sys
+from dataclasses import dataclass
+from lampopt import testing
+from lampopt_gridsdf import GridSDF
+
+@dataclass(frozen=True)
+class Seeds(GridSDF):
+    def fit(self, shared, meshes, *, seed, progress=None):
+        import torch
+        torch.manual_seed(seed)
+        return super().fit(shared, meshes, seed=seed)
+
+assert "torch" not in sys.modules
+failed = [r.check for r in testing.report("decoder", Seeds(size=12)) if not r.passed]
+assert failed == ["check_global_random_state_is_left"], failed
+"""
+    tutorial = HERE.parent / "examples" / "third_party_decoder"
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tutorial), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr

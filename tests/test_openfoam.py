@@ -1188,3 +1188,11 @@ def test_coefficients_are_read_by_their_columns(tmp_path):
         (folder / "forceCoeffs.dat").write_text("# Force coefficients\n# Time Cm Cd Cl(f) Cl\n" + rows)
     assert case.coefficients(tmp_path).tolist() == [[0.3, 0.1], [0.31, 0.1], [0.32, 0.1]]
     assert case.coefficients(Path(tmp_path) / "nothing").shape == (0, 2)
+
+
+def test_a_lift_that_has_not_settled_is_what_is_told():
+    """Beside a drag that stands still it is the reason, so the words name it."""
+    n = np.arange(400)
+    told = judged(np.column_stack([np.full(400, 0.35), 0.5 * np.sin(n / 60)]), 0.005)
+    assert told.state == "settling"
+    assert re.search(r"drag 0\.3500 ± 0\.0000.*lift ± 0\.\d+, asked for ± 0\.02", told.message)

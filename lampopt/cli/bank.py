@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from lampopt.bank import build_bank
 from lampopt.cli.answer import Answer, Group
-from lampopt.cli.options import can_be_written, pairs, spec
+from lampopt.cli.options import accepted, can_be_written, pairs, spec
 from lampopt.cli.show import number, span, table
 from lampopt.compress import compress as compressed
 from lampopt.enrich import enrich as enriched
@@ -100,7 +99,7 @@ def build(
             store=out,
             measured=pairs("--measured", measured),
             batch=batch,
-            accept=_named(accept),
+            accept=accepted(accept),
             progress=progress,
             plugins=plugins,
         )
@@ -127,7 +126,7 @@ def add(file: Path, source: str, settings: tuple[str, ...], accept: tuple[str, .
     before = load_bank(file)
     found = exemplars(spec(plugins, "source", source, "--set", settings), plugins=plugins)
     with progress_bar(f"building {out}") as progress:
-        made = add_exemplars(before, found, store=out, accept=_named(accept), progress=progress, plugins=plugins)
+        made = add_exemplars(before, found, store=out, accept=accepted(accept), progress=progress, plugins=plugins)
     return _described(made)
 
 
@@ -178,7 +177,7 @@ def enrich(
             only=names,
             leave_out=leave_out,
             labels=pairs("--label", labels),
-            accept=_named(accept),
+            accept=accepted(accept),
             progress=progress,
             plugins=plugins,
         )
@@ -242,11 +241,6 @@ def info(file: Path) -> Answer:
     Parameters with their ranges and units, labels, the decoder, fit errors in the bank's unit, where it comes from.
     """
     return _described(load_bank(file))
-
-
-def _named(accept: tuple[str, ...]) -> Iterable[str]:
-    """The names behind --accept; `all` among them stands for everybody."""
-    return "all" if "all" in accept else accept
 
 
 def _described(bank: Bank) -> Answer:

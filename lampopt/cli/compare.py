@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from lampopt.cli.answer import DONE, REJECTED, Answer, Command
-from lampopt.cli.options import can_be_written, pairs, spec, with_options
+from lampopt.cli.options import accepted, can_be_written, pairs, spec, with_options
 from lampopt.cli.show import number, table
 from lampopt.compare import DECODERS
 from lampopt.compare import compare as compared
@@ -82,7 +82,7 @@ def compare(
             solver=solver,
             resolution=resolution,
             measured=pairs("--measured", measured),
-            accept="all" if "all" in accept else accept,
+            accept=accepted(accept),
             folder=folder,
             progress=progress,
             plugins=plugins,

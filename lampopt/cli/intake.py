@@ -13,11 +13,11 @@ import numpy as np
 
 from lampopt.cli.answer import DONE, REJECTED, WRONG, Answer, Command
 from lampopt.cli.designs import can_be_a_mesh
-from lampopt.cli.options import spec
+from lampopt.cli.options import accepted, spec
 from lampopt.cli.show import BAD, GOOD, number, table
 from lampopt.errors import InputError
 from lampopt.exemplars import exemplars
-from lampopt.intake import ALL, Finding, Health, Intake
+from lampopt.intake import Finding, Health, Intake
 from lampopt.intake import intake as look
 from lampopt.intake import wrap as wrapped
 from lampopt.meshfile import FORMATS, SUFFIXES, load_mesh
@@ -69,7 +69,7 @@ def intake(
     factor("m" if unit is None else unit, "m", "--unit")  # raises where it is no length
     found, family = _exemplars(what, meshes, unit, source, settings)
     with progress_bar("intake") as progress:
-        report = look(found, repair=repair, accept=ALL if ALL in accept else accept, fellows=family, progress=progress)
+        report = look(found, repair=repair, accept=accepted(accept), fellows=family, progress=progress)
     return _described(report)
 
 

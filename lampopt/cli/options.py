@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TypeVar
 
 from lampopt.errors import InputError
+from lampopt.intake import ALL
 from lampopt.plugins import Plugins, known_options
 from lampopt.pool import processes
 from lampopt.reading import brief, why
@@ -93,6 +94,11 @@ def with_options(plugins: Plugins, kind: str, option: str, text: str) -> Spec:
         else:
             parts.append(part)
     return spec(plugins, kind, name, option, parts)
+
+
+def accepted(names: tuple[str, ...]) -> Iterable[str]:
+    """The names behind --accept; `all` among them stands for everybody."""
+    return ALL if ALL in names else names
 
 
 def can_be_written(option: str, path: Path) -> None:
